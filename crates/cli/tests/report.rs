@@ -95,7 +95,7 @@ fn every_result_has_a_page_and_only_what_changed_is_written_again() {
         assert!(overview.contains(link), "{link}");
     }
     let page = batch.read("s0001@v1/report.html");
-    for part in ["<h2>s0001 · v1", "../report.html", "A view that training did not see", "Parameters"] {
+    for part in ["<h1>s0001 · v1", "../report.html", "How like the photographs?", "Parameters"] {
         assert!(page.contains(part), "{part}");
     }
     let data: serde_json::Value = serde_json::from_str(&batch.read("s0001@v1/report.json")).expect("JSON");

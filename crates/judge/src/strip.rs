@@ -1,12 +1,13 @@
 //! The same spot of the scene in neighbouring views, cropped and enlarged. It shows if an appearance flickers
 //! or stays the same.
 //!
-//! The spot is chosen by geometry and by the photographs alone, never by an enhancement. The candidates are
-//! points on a grid over the middle view, lifted by its rendered depth, that all views see (inside by half a
-//! crop, depths agreeing within 5 %). The candidate whose surroundings have the most contrast in the
-//! photograph is chosen.
+//! The candidates are points on a grid over the middle view, lifted by its rendered depth, that all views see
+//! (inside by half a crop, depths agreeing within 5 %). Those whose surroundings have the most contrast in
+//! the photograph are compared, and the one that stands best for all pairs of views is shown: there the
+//! movements `m_k` of the appearances have most nearly the ratios of their mean scores `e_k`, so that
+//! `Σ abs(m_k / Σ m − e_k / Σ e)` is least. Without scores the one with the most contrast is shown.
 //!
-//! The movement of a spot's mean colour from view to view is given as CIEDE2000, the largest over pairs of
+//! The movement of a spot is that of its mean colour from view to view, CIEDE2000, the largest over pairs of
 //! views.
 
 use serde::{Deserialize, Serialize};
@@ -20,6 +21,8 @@ const SIDE: usize = 96;
 const ZOOM: usize = 2;
 /// White between crops, pixels of the sheet.
 const GAP: usize = 6;
+/// Candidates that are compared.
+const COMPARED: usize = 40;
 /// Relative difference of depths that counts as the same surface.
 const SAME_SURFACE: f64 = 0.05;
 
@@ -28,8 +31,9 @@ const SAME_SURFACE: f64 = 0.05;
 pub struct Strip {
     /// Columns: the views' names.
     pub views: Vec<String>,
-    /// Rows: appearances, with the movement of the mean colour between views, CIEDE2000.
-    pub rows: Vec<(String, f64)>,
+    /// Rows: appearances, with their mean change of colour between neighbouring views, CIEDE2000, if it is
+    /// known.
+    pub rows: Vec<(String, Option<f64>)>,
     /// Side of the crops before they are enlarged, pixels.
     pub side: usize,
     /// Upper left corner of each view's crop, pixels.
@@ -99,9 +103,12 @@ fn contrast(image: &Image, (left, top): (usize, usize), side: usize) -> f64 {
     square / n - math::powi(sum / n, 2)
 }
 
+/// An appearance in all views, and its mean change of colour between neighbouring views, if it is known.
+pub type StripRow<'a> = (Vec<&'a Image>, Option<f64>);
+
 /// The side of the crops, and the upper left corner of each view's crop; `None` if no spot is seen by all
 /// views.
-pub fn choose(views: &[StripView<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
+pub fn choose(views: &[StripView<'_>], rows: &[StripRow<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
     let middle = views.len() / 2;
     let photograph = views.get(middle)?.photograph;
     let (width, height) = (photograph.width(), photograph.height());
@@ -114,16 +121,26 @@ pub fn choose(views: &[StripView<'_>]) -> Option<(usize, Vec<(usize, usize)>)> {
         return None;
     }
     let step = (side / 4).max(1);
-    let mut best: Option<(f64, Vec<(usize, usize)>)> = None;
+    let mut seen: Vec<(f64, Vec<(usize, usize)>)> = Vec::new();
     for y in (side / 2..height).step_by(step) {
         for x in (side / 2..width).step_by(step) {
             let Some(corners) = track(views, middle, (x, y), side) else { continue };
-            let contrast = contrast(photograph, corners[middle], side);
-            if best.as_ref().is_none_or(|(most, _)| contrast > *most) {
-                best = Some((contrast, corners));
-            }
+            seen.push((contrast(photograph, corners[middle], side), corners));
         }
     }
+    seen.sort_by(|a, b| b.0.total_cmp(&a.0));
+    seen.truncate(COMPARED);
+    let expected: Option<Vec<f64>> = rows.iter().map(|(_, mean)| *mean).collect();
+    let strangeness = |corners: &[(usize, usize)]| {
+        let moved: Vec<f64> = rows.iter().map(|(images, _)| movement(images, corners, side)).collect();
+        let expected = expected.as_ref()?;
+        let sums = [&moved, expected].map(|of| of.iter().sum::<f64>().max(1e-9));
+        let apart = |(m, e): (&f64, &f64)| (m / sums[0] - e / sums[1]).abs();
+        Some(moved.iter().zip(expected).map(apart).sum::<f64>())
+    };
+    let strange = seen.into_iter().map(|(_, corners)| (strangeness(&corners).unwrap_or(0.0), corners));
+    // The first of equal ones has the most contrast.
+    let best = strange.min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, corners)| (side, corners))
 }
 
@@ -145,13 +162,12 @@ fn movement(images: &[&Image], corners: &[(usize, usize)], side: usize) -> f64 {
     pairs.fold(0.0, f64::max)
 }
 
-/// Arranges crops, one row per appearance and one column per view, each enlarged by whole pixels. Also
-/// returns the movement of the mean colour of each row.
-pub fn sheet(rows: &[Vec<&Image>], corners: &[(usize, usize)], side: usize) -> (Image, Vec<f64>) {
+/// Arranges crops, one row per appearance and one column per view, each enlarged by whole pixels.
+pub fn sheet(rows: &[StripRow<'_>], corners: &[(usize, usize)], side: usize) -> Image {
     let pitch = side * ZOOM + GAP;
     let [width, height] = [corners.len(), rows.len()].map(|count| (count * pitch).saturating_sub(GAP));
     let mut out = Image::filled(width, height, 1.0);
-    for (r, row) in rows.iter().enumerate() {
+    for (r, (row, _)) in rows.iter().enumerate() {
         for (c, (image, (left, top))) in row.iter().zip(corners).enumerate() {
             for y in 0..side * ZOOM {
                 for x in 0..side * ZOOM {
@@ -160,7 +176,7 @@ pub fn sheet(rows: &[Vec<&Image>], corners: &[(usize, usize)], side: usize) -> (
             }
         }
     }
-    (out, rows.iter().map(|row| movement(row, corners, side)).collect())
+    out
 }
 
 #[cfg(test)]
@@ -187,7 +203,7 @@ mod tests {
         let walls: Vec<_> = (0..3).map(wall).collect();
         let seen: Vec<StripView<'_>> =
             walls.iter().map(|(camera, depth, photograph)| StripView { camera, depth, photograph }).collect();
-        let (side, corners) = choose(&seen).expect("a spot");
+        let (side, corners) = choose(&seen, &[]).expect("a spot");
         assert_eq!(side, 20);
         assert_eq!((corners[0].0 - corners[1].0, corners[1].0 - corners[2].0), (4, 4));
         let x = corners[1].0;
@@ -196,10 +212,33 @@ mod tests {
         let still: Vec<&Image> = walls.iter().map(|w| &w.2).collect();
         let tinted = walls[1].2.map(|v| 0.8 * v);
         let flickers = vec![still[0], &tinted, still[2]];
-        let (sheet, moved) = sheet(&[still, flickers], &corners, side);
+        assert!(movement(&still, &corners, side) < 1e-9 && movement(&flickers, &corners, side) > 3.0);
+        let rows = [(still, None), (flickers, None)];
+        let sheet = sheet(&rows, &corners, side);
         assert_eq!((sheet.width(), sheet.height()), (3 * 40 + 2 * GAP, 2 * 40 + GAP));
-        assert!(moved[0] < 1e-9 && moved[1] > 3.0, "{moved:?}");
         assert_eq!(sheet.pixel(0, 0), walls[0].2.pixel(corners[0].0, corners[0].1));
+    }
+
+    #[test]
+    fn the_spot_stands_for_the_mean_of_all_pairs() {
+        let walls: Vec<_> = (0..3).map(wall).collect();
+        let seen: Vec<StripView<'_>> =
+            walls.iter().map(|(camera, depth, photograph)| StripView { camera, depth, photograph }).collect();
+        // One appearance flickers on the right half of the pictures, and another one everywhere.
+        let still: Vec<&Image> = walls.iter().map(|w| &w.2).collect();
+        let (mut half, all) = (walls[1].2.clone(), walls[1].2.map(|v| 0.8 * v));
+        for y in 0..60 {
+            (45..90).for_each(|x| half.set_pixel(x, y, all.pixel(x, y)));
+        }
+        let spot = |mean_of_half: f64| {
+            let rows = [
+                (vec![still[0], &half, still[2]], Some(mean_of_half)),
+                (vec![still[0], &all, still[2]], Some(3.0)),
+            ];
+            choose(&seen, &rows).expect("a spot").1[1].0
+        };
+        assert!(spot(3.0) >= 45, "where both flicker alike");
+        assert!(spot(0.0) + 20 <= 45, "where only the second one flickers");
     }
 
     #[test]
@@ -208,9 +247,9 @@ mod tests {
         let mut away = camera;
         away.pose.translation.x = -50.0;
         let at = |camera| StripView { camera, depth: &depth, photograph: &image };
-        assert_eq!(choose(&[at(&camera), at(&away)]), None);
+        assert_eq!(choose(&[at(&camera), at(&away)], &[]), None);
         let nothing = Map::new(90, 60);
-        assert_eq!(choose(&[StripView { camera: &camera, depth: &nothing, photograph: &image }]), None);
-        assert_eq!(choose(&[]), None);
+        assert_eq!(choose(&[StripView { camera: &camera, depth: &nothing, photograph: &image }], &[]), None);
+        assert_eq!(choose(&[], &[]), None);
     }
 }

@@ -4,6 +4,7 @@
 //! An artifact holds nothing that depends on the clock or the machine. Times, memory, keys and drawing speeds
 //! are stored next to artifacts; the files `report.rs` and `lineage.rs` add them to the pages and the tables.
 
+mod advice;
 mod lineage;
 mod report;
 

@@ -15,6 +15,7 @@ use use3d_capture::Image;
 use use3d_io_image::{JpegError, jpeg_address, shrunk};
 
 use crate::index::{Index, IndexView};
+use crate::story::Story;
 use crate::tables::{Cell, Column, Rank, Table, marked};
 use crate::verdict::{Sentence, Tone};
 use use3d_judge::names::distinct;
@@ -106,6 +107,10 @@ pub struct SceneSection {
     pub page: String,
     /// One line: views, size, Gaussians.
     pub summary: String,
+    /// Its story in plain words.
+    pub story: Story,
+    /// What to do next, as whole commands: the reason and the command.
+    pub commands: Vec<(String, String)>,
     /// The verdict on its scores, in sentences.
     pub verdict: Vec<Sentence>,
     /// Further lines: skipped steps, results that are not available.
@@ -130,9 +135,9 @@ impl SceneSection {
 pub struct ViewSection {
     /// Its name.
     pub name: String,
-    /// The pictures that come first, side by side: captured, 2D enhancer, `enhanced-clear`.
+    /// The pictures that come first, side by side: captured, enhanced photograph, `enhanced`, `clear`.
     pub lead: Vec<Picture>,
-    /// The other pictures: `clear`, `enhanced`, `reconstruction`, `depth`, …
+    /// The other pictures: 2D enhancer, `reconstruction`, `depth`, …
     pub images: Vec<Picture>,
     /// Short texts such as `PSNR 24.1`.
     pub scores: Vec<String>,
@@ -233,6 +238,7 @@ struct PageTemplate<'a> {
     policy: String,
     verdict: String,
     verdicts: Vec<String>,
+    stories: Vec<String>,
     tables: Vec<TableView>,
     stages: Vec<StageView>,
 }
@@ -382,6 +388,7 @@ impl Page {
             policy: policy(),
             verdict: verdict(&self.verdict)?,
             verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
+            stories: self.scenes.iter().map(|scene| told(&scene.story)).collect::<Result<_, _>>()?,
             tables: shown.map(TableView::new).collect(),
             stages: self.costs.as_ref().map_or_else(Vec::new, |costs| StageView::all(&costs.stages)),
         };
@@ -395,6 +402,34 @@ struct VerdictTemplate<'a> {
     sentences: Vec<SentenceView<'a>>,
 }
 
+#[derive(Template)]
+#[template(path = "story.html")]
+struct StoryTemplate<'a> {
+    headline: Option<Headline<'a>>,
+    facts: &'a [(&'static str, String)],
+}
+
+struct Headline<'a> {
+    class: &'static str,
+    text: &'a str,
+}
+
+/// The class and the mark of a tone.
+fn looks(tone: Tone) -> (&'static str, &'static str) {
+    match tone {
+        Tone::Good => ("good", "+"),
+        Tone::Bad => ("bad", "–"),
+        Tone::Plain => ("plain", "·"),
+    }
+}
+
+/// A story without what to do next.
+fn told(story: &Story) -> Result<String, askama::Error> {
+    let headline = story.headline.as_ref();
+    let headline = headline.map(|said| Headline { class: looks(said.tone).0, text: &said.text });
+    StoryTemplate { headline, facts: &story.facts }.render()
+}
+
 struct SentenceView<'a> {
     class: &'static str,
     mark: &'static str,
@@ -405,11 +440,7 @@ struct SentenceView<'a> {
 /// Sentences as a list; empty without sentences. Text between backticks is shown as code.
 fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     let marked = sentences.iter().map(|sentence| {
-        let (class, mark) = match sentence.tone {
-            Tone::Good => ("good", "+"),
-            Tone::Bad => ("bad", "–"),
-            Tone::Plain => ("plain", "·"),
-        };
+        let (class, mark) = looks(sentence.tone);
         let pieces = sentence.text.split('`').enumerate().map(|(k, piece)| (k % 2 == 1, piece));
         SentenceView { class, mark, pieces: pieces.collect() }
     });
@@ -429,6 +460,7 @@ fn templates() -> String {
         include_str!("../templates/tables.html"),
         include_str!("../templates/costs.html"),
         include_str!("../templates/made-by.html"),
+        include_str!("../templates/story.html"),
         include_str!("../templates/verdict.html"),
     ];
     shortened(&STANDARD.encode(Sha256::digest(templates.concat().as_bytes())))
@@ -487,8 +519,11 @@ mod tests {
         assert!(!html.contains("<b>") && html.contains("data:image/jpeg;base64,"));
         let at = |text: &str| html.find(text).unwrap_or_else(|| panic!("{text}"));
         assert!(at("class=\"lead\"") < at("alt=\"v: captured\""), "the leading pictures stand first");
-        assert!(at("A view that training did not see") < at("alt=\"v: captured\""));
-        assert!(!html.contains("More held-out views") && html.matches("data-view>").count() == 1);
+        assert!(!html.contains("More views that") && html.matches("data-view>").count() == 1);
+        // Fifteen words or fewer stand before the first picture.
+        let before = html[at("<h1>")..at("alt=\"v: captured\"")].replace('<', " <");
+        let words = before.split_whitespace().filter(|word| !word.contains(['<', '>', '=', '"'])).count();
+        assert!(words <= 15, "{words}: {before}");
         assert!(
             at("alt=\"v: captured\"") < at("class=\"strip\"")
                 && at("class=\"strip\"") < at("alt=\"v: depth\"")
@@ -531,7 +566,7 @@ mod tests {
         assert!(whole.contains("preset paper; seed: 42"), "{whole}");
         let at = |text: &str| whole.find(text).unwrap_or_else(|| panic!("{text}"));
         let line = "reef · settings: preset paper, changed: a = &#60;b&#62;; 5000 + 1000 steps</summary>";
-        assert!(at(line) < at("id=\"scene-1\""), "on the first screen");
+        assert!(at("id=\"scene-1\"") < at(line), "below the story");
         assert!(at(line) < at("<dt>proposer</dt><dd>fusion</dd>"));
     }
 

@@ -1,5 +1,5 @@
-//! Sentences about a scene: its water, the length of its training, the comparisons between its methods, the
-//! scores that are missing, and what to do next.
+//! Sentences about a scene: its water, the length of its training, the comparisons between its methods, and
+//! the scores that are missing. [`story`](crate::story) says the same in short and plain words.
 //!
 //! Every sentence is made from the figures in the tables and from the files of the stages. If a comparison
 //! is unfavourable to the enhanced scene, the sentence says so.
@@ -35,8 +35,11 @@ pub struct Sentence {
 /// Facts about a scene that its scores do not contain.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SceneFacts {
-    /// A sentence on the water; empty if nothing is known.
+    /// Sentences on the water; empty if nothing is known.
     pub water: String,
+    /// The light of red, green and blue that is left after one unit of the water's length, 0 to 1, with the
+    /// name of that unit; `None` if the tracks do not tell it.
+    pub left: Option<([f64; 3], &'static str)>,
     /// Steps of stage 1 and of stage 2, each with the usual number; `None` for a stage that did not run.
     pub steps: [Option<(u64, u64)>; 2],
     /// True if stage 2 had nothing to learn, because the colours stay as photographed.
@@ -47,18 +50,16 @@ pub struct SceneFacts {
     pub pairs: Option<(usize, usize)>,
 }
 
-/// A training of this many times the usual steps has little left to gain.
-const LONGER: u64 = 3;
 /// The weakest view is named if it is this many dB below the mean.
 const WEAK: f64 = 2.0;
 /// PSNR from which a reconstruction is good, and below which it is bad, dB.
-const PSNR: [f64; 2] = [30.0, 22.0];
+pub(crate) const PSNR: [f64; 2] = [30.0, 22.0];
 
 fn plain(text: String) -> Sentence {
     Sentence { tone: Tone::Plain, text }
 }
 
-fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
+pub(crate) fn mean(scores: &SceneScores, method: Method, metric: &str) -> Option<f64> {
     scores.mean(method, metric)?.value()
 }
 
@@ -73,7 +74,6 @@ pub fn verdict(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Vec<Se
         consistency(scores, best),
         without_reference(scores, best),
         not_measured(scores),
-        Some(next_steps(scores, facts)),
     ];
     sentences.into_iter().flatten().collect()
 }
@@ -101,35 +101,6 @@ fn learning(facts: &SceneFacts) -> Option<Sentence> {
         "Pairs: the enhancement was learnt from {pairs} pairs. {recommended} are recommended; with fewer it may \
          not fit your water."
     )))
-}
-
-/// One to three things that the reader can do now.
-fn next_steps(scores: &SceneScores, facts: &SceneFacts) -> Sentence {
-    let psnr = mean(scores, Method::Reconstruction, "psnr");
-    let mut steps = Vec::new();
-    let options = ["--iterations ", "--set enhance.iterations="];
-    for (stage, option) in facts.steps.into_iter().zip(options) {
-        if let Some((done, usual)) = stage
-            && (1..usual).contains(&done)
-        {
-            steps.push(format!("run again with `{option}{usual}`"));
-        }
-    }
-    if let [Some((done, usual)), _] = facts.steps
-        && steps.is_empty()
-        && psnr.is_some_and(|psnr| (PSNR[1]..PSNR[0]).contains(&psnr))
-        && done < LONGER * usual
-    {
-        steps.push(format!("for more detail, run again with `--iterations {}`", LONGER * usual));
-    }
-    if psnr.is_some_and(|psnr| psnr < PSNR[1]) {
-        steps.push("ask `use3d water` and the guide \"Is my capture good?\" what is wrong".into());
-    }
-    steps.push("open the page `view.html` and swim through the scene".into());
-    if !facts.unchanged && !facts.calibrated {
-        steps.push("for other colours, learn them from pairs with `--pairs`".into());
-    }
-    plain(format!("Next: {}.", steps.join("; ")))
 }
 
 fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
@@ -209,20 +180,25 @@ fn against_truth(scores: &SceneScores, best: Method) -> Option<Sentence> {
     Some(Sentence { tone, text })
 }
 
+/// Good if the colours of a look change less between neighbouring views than those of the 2D enhancer.
+pub(crate) fn steadiness(scores: &SceneScores, best: Method) -> Tone {
+    let of = |method| mean(scores, method, "w_delta_e");
+    // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
+    // enhancer, which sees one picture at a time. Photographs have noise that no render has, so its result
+    // on renders counts where it is known.
+    match (of(best), of(Method::ProposalOfRender).or(of(Method::Proposal))) {
+        (Some(ours), Some(rival)) if ours > rival => Tone::Bad,
+        (Some(_), Some(_)) => Tone::Good,
+        _ => Tone::Plain,
+    }
+}
+
 fn consistency(scores: &SceneScores, best: Method) -> Option<Sentence> {
     let metric = "w_delta_e";
     let ours = mean(scores, best, metric)?;
     let others = others(scores, metric);
     let texts: Vec<String> = others.iter().map(|(other, name)| format!("{other:.1} for {name}")).collect();
-    // A picture with stronger colours also varies more; so the tone depends on the comparison with the 2D
-    // enhancer, which sees one picture at a time. Photographs have noise that no render has, so its result
-    // on renders counts where it is known.
-    let rival = mean(scores, Method::ProposalOfRender, metric).or(mean(scores, Method::Proposal, metric));
-    let tone = match rival {
-        Some(rival) if ours > rival => Tone::Bad,
-        Some(_) => Tone::Good,
-        None => Tone::Plain,
-    };
+    let tone = steadiness(scores, best);
     let beside =
         if texts.is_empty() { String::new() } else { format!(" The figure is {}.", texts.join(" and ")) };
     let text = format!(
@@ -270,11 +246,11 @@ fn not_measured(scores: &SceneScores) -> Option<Sentence> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
     use use3d_judge::scores::{FORMAT, MethodScores, Scores, VERSION, Warp};
 
-    fn scene(methods: &[(Method, &[(&str, f64)])]) -> SceneScores {
+    pub(crate) fn scene(methods: &[(Method, &[(&str, f64)])]) -> SceneScores {
         let view = |name: &str, scores: &[(&str, f64)], off: f64| ViewScores {
             view: name.into(),
             scores: scores
@@ -367,7 +343,6 @@ mod tests {
         );
         assert!(said[2].0 == Tone::Bad, "{said:?}");
         assert_eq!(said[3].1, "Not measured: LPIPS (no models folder).");
-        assert!(said[4].1.starts_with("Next: ask `use3d water`"), "{said:?}");
         assert!(texts(&scene(&[(Method::Reconstruction, &[])]))[0].1.contains("No photograph was held out"));
     }
 
@@ -389,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn it_says_how_long_was_trained_which_water_was_used_and_what_to_do_next() {
+    fn it_says_how_long_was_trained_and_which_water_was_used() {
         let scores = scene(&[(Method::Reconstruction, &[("psnr", 25.0)])]);
         let facts = SceneFacts {
             water: "Water found: stage 1 starts from it.".into(),
@@ -405,12 +380,6 @@ mod tests {
         assert!(said[1].starts_with("Training: 300 of the usual 5000 steps in stage 1. "), "{said:?}");
         assert_eq!(said[2], "Water found: stage 1 starts from it.");
         assert!(said[3].starts_with("Pairs: the enhancement was learnt from 60 pairs. 800"), "{said:?}");
-        assert!(said[4].starts_with("Next: run again with `--iterations 5000`; open the page"), "{said:?}");
-        assert!(!said[4].contains("--pairs"), "{said:?}");
-        let demo = SceneFacts { steps: [Some((3000, 5000)), Some((600, 1000))], ..SceneFacts::default() };
-        let next = of(&demo).pop().unwrap();
-        let both = "run again with `--iterations 5000`; run again with `--set enhance.iterations=1000`";
-        assert!(next.contains(both) && next.contains("with `--pairs`"), "{next}");
         let whole = SceneFacts {
             steps: [Some((5000, 5000)), Some((0, 1000))],
             unchanged: true,
@@ -418,11 +387,5 @@ mod tests {
         };
         let said = of(&whole);
         assert!(said[1].starts_with("Enhancement: none."), "{said:?}");
-        assert!(
-            said[2].contains("run again with `--iterations 15000`") && !said[2].contains("--pairs"),
-            "{said:?}"
-        );
-        let long = SceneFacts { steps: [Some((15_000, 5000)), None], ..SceneFacts::default() };
-        assert!(of(&long)[1].starts_with("Next: open the page"), "{:?}", of(&long));
     }
 }

@@ -129,6 +129,9 @@ fn a_phone_shows_all_of_the_report_and_its_divider_follows_a_finger() {
             browser.resize(width, 700, width < 1000);
             browser.go(&format!("file://{}", path.display()));
             browser.until("document.readyState === 'complete' && document.querySelector('.compare')");
+            // The story stands on a page of bounded length, and everything else is folded.
+            let height = browser.evaluate("document.documentElement.scrollHeight").as_u64();
+            assert!(height <= Some(if width < 1000 { 4000 } else { 2500 }), "{width} px: {height:?}");
             browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = true; })");
             // A page that is too wide makes a phone's layout wider than its screen.
             let wide = browser.evaluate(

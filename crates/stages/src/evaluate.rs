@@ -48,7 +48,7 @@ use use3d_judge::scores::{
 };
 use use3d_judge::scoring::{ComparedView, Judges, Pairing};
 use use3d_judge::speed;
-use use3d_judge::strip::{Strip, StripView, choose, sheet};
+use use3d_judge::strip::{Strip, StripRow, StripView, choose, sheet};
 use use3d_judge::truth::{Truth, files};
 
 /// The scores that an evaluation has to have.
@@ -540,7 +540,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     };
     let (mut neighbours, looks) = evaluation.views(params.neighbour_pairs, &rows, &mut held_out)?;
     let mut path = evaluation.path(params.path_pairs, params.path_steps)?;
-    strip(context, &capture, &rows, &looks)?;
+    let moved: BTreeMap<Method, f64> =
+        neighbours.iter().filter_map(|(method, pairs)| Some((*method, change(pairs)?))).collect();
+    strip(context, &capture, (&rows, &moved), &looks)?;
     time(context, (&views, params.fps_size), &mut evaluation.looker.renderer, shown.card.as_deref())?;
 
     let methods = Method::ALL.into_iter().filter_map(|method| {
@@ -623,7 +625,7 @@ impl StripRows {
 fn strip(
     context: &StageContext,
     capture: &Capture,
-    rows: &StripRows,
+    (rows, moved): (&StripRows, &BTreeMap<Method, f64>),
     looks: &[Appearances],
 ) -> Result<(), StageError> {
     context.alive()?;
@@ -631,16 +633,23 @@ fn strip(
     let seen = views.iter().zip(looks).filter_map(|(view, look)| {
         Some(StripView { camera: &view.camera, depth: &look.depth, photograph: look.of(Method::Captured)? })
     });
-    let Some((side, corners)) = choose(&seen.collect::<Vec<_>>()) else {
+    let row = |method: Method| -> Option<Vec<&Image>> { looks.iter().map(|look| look.of(method)).collect() };
+    let shown = rows.methods.into_iter().filter_map(|method| Some((method, row(method)?)));
+    let (shown, rows): (Vec<Method>, Vec<StripRow<'_>>) =
+        shown.map(|(method, images)| (method, (images, moved.get(&method).copied()))).unzip();
+    let Some((side, corners)) = choose(&seen.collect::<Vec<_>>(), &rows) else {
         context.log("no spot is seen by three neighbouring views: no consistency strip");
         return Ok(());
     };
-    let row = |method: Method| -> Option<Vec<&Image>> { looks.iter().map(|look| look.of(method)).collect() };
-    let rows = rows.methods.into_iter().filter_map(|method| Some((method, row(method)?)));
-    let (shown, rows): (Vec<Method>, Vec<Vec<&Image>>) = rows.unzip();
-    let (picture, moved) = sheet(&rows, &corners, side);
-    write_png(&context.output().join(STRIP.0), &picture)?;
-    let rows = shown.iter().map(|m| m.label().to_string()).zip(moved).collect();
+    write_png(&context.output().join(STRIP.0), &sheet(&rows, &corners, side))?;
+    let rows = shown.iter().map(|m| m.label().to_string()).zip(rows.iter().map(|(_, mean)| *mean)).collect();
     let strip = Strip { views: views.iter().map(|v| v.name.to_string()).collect(), rows, side, corners };
     write_json(&context.output().join(STRIP.1), &strip)
+}
+
+/// The mean change of colour of one method over all pairs.
+fn change(pairs: &[PairScores]) -> Option<f64> {
+    let values = || pairs.iter().filter_map(|pair| pair.scores.get("w_delta_e")?.value());
+    let count = values().count();
+    (count > 0).then(|| values().sum::<f64>() / count as f64)
 }

@@ -13,6 +13,7 @@ use use3d_atc::consensus::TargetsReport;
 use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
 use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
+use use3d_numerics::math;
 use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
@@ -33,6 +34,7 @@ use use3d_judge::strip::Strip;
 use use3d_report::BatchReport;
 use use3d_report::index::THUMBNAIL_SIDE;
 use use3d_report::page::{CalibratorSection, Picture, PlotFigure, SceneSection, ViewSection};
+use use3d_report::story::story;
 use use3d_report::verdict::{SceneFacts, verdict};
 
 /// Parameters of the report.
@@ -184,11 +186,14 @@ pub fn section(parts: &ResultFolders<'_>, most: usize) -> Result<ResultSection, 
     let mut section = SceneSection { name, group: parts.group.into(), ..SceneSection::default() };
     if let Some(scores) = scores {
         let (w, h) = scores.size;
-        section.summary = format!(
-            "{} training views, {} held out, {w}×{h} pixels, {} Gaussians.",
-            scores.training_views, scores.held_out_views, scores.gaussians
-        );
-        section.notes = left_out(scores);
+        let kept_back = match scores.held_out_views {
+            0 => String::new(),
+            n => format!(", {n} of them kept back as a test"),
+        };
+        section.summary =
+            format!("{} photographs{kept_back}.", scores.training_views + scores.held_out_views);
+        section.notes = vec![format!("Pictures of {w}×{h} pixels, {} Gaussians.", scores.gaussians)];
+        section.notes.extend(left_out(scores));
     }
     let best = best_look(parts.path("enhance"))?;
     let log = training_log(parts, "reconstruct");
@@ -196,6 +201,7 @@ pub fn section(parts: &ResultFolders<'_>, most: usize) -> Result<ResultSection, 
         parts.path("targets").map(|dir| read_json(&dir.join("report.json"))).transpose()?;
     if let Some(scores) = scores {
         let facts = facts(parts, log.as_deref(), targets.as_ref());
+        section.story = story(scores, scored_as(best), &facts);
         section.verdict = verdict(scores, scored_as(best), &facts);
     }
     let renders = parts.path("render");
@@ -249,6 +255,7 @@ fn facts(parts: &ResultFolders<'_>, log: Option<&str>, targets: Option<&TargetsR
     let pairs = provenance.and_then(Result::ok).map_or(0, |provenance| provenance.pairs);
     SceneFacts {
         water: parts.path("reconstruct").map(water_sentences).unwrap_or_default(),
+        left: parts.path("reconstruct").and_then(light_left),
         steps: [
             log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
             training_log(parts, "enhance").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
@@ -268,6 +275,20 @@ fn water_sentences(scene: &Path) -> String {
         if water.is_empty() { water } else { format!("{}.", capitalised(&water)) }
     });
     [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
+}
+
+/// The light that is left after a metre of water, or after a unit of the scene; `None` if the tracks do not
+/// tell it in every colour.
+fn light_left(scene: &Path) -> Option<([f64; 3], &'static str)> {
+    let water: Value = read_json(&scene.join(WATER)).ok()?;
+    if water["judgement"] != "found" {
+        return None;
+    }
+    let in_metres = |c: usize| water["metric"]["attenuation"][c]["value"].as_f64();
+    let in_units = |c: usize| water["channels"][c]["attenuation"]["value"].as_f64();
+    let each = |of: &dyn Fn(usize) -> Option<f64>| Some([of(0)?, of(1)?, of(2)?].map(|a| math::exp(-a)));
+    let metres = each(&in_metres).map(|left| (left, "metre"));
+    metres.or_else(|| Some((each(&in_units)?, "unit of length of this scene")))
 }
 
 /// A sentence on the metres of a unit; empty if they are not known.
@@ -363,13 +384,31 @@ pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
     best_look(enhanced).map(scored_as)
 }
 
-/// The pictures of a view after those that come first.
-const OTHERS: [Mode; 6] =
-    [Mode::Clear, Mode::Enhanced, Mode::EnhancedClear, Mode::Reconstruction, Mode::Depth, Mode::Medium];
+/// The pictures of a scene that follow those that come first.
+const OTHERS: [Mode; 3] = [Mode::Reconstruction, Mode::Depth, Mode::Medium];
+
+/// The names of held-out views in the order of the page, at most `most`: the median one and the best one by
+/// PSNR, then others evenly chosen. Without scores the middle one is first.
+fn ordered(mut stems: Vec<String>, scores: Option<&SceneScores>, most: usize) -> Vec<String> {
+    stems.sort();
+    let mut by_score = stems.clone();
+    let psnr = |stem: &str| view_score(stem, scores, Method::Reconstruction, "psnr").unwrap_or_default();
+    by_score.sort_by(|a, b| psnr(a).total_cmp(&psnr(b)));
+    let first = [by_score.get(by_score.len() / 2), by_score.last()];
+    let mut order: Vec<String> = Vec::new();
+    let rest = (0..stems.len().min(most)).map(|k| &stems[k * stems.len() / stems.len().min(most)]);
+    for stem in first.into_iter().flatten().chain(rest).take_while(|_| most > 0) {
+        if !order.contains(stem) && order.len() < most {
+            order.push(stem.clone());
+        }
+    }
+    order
+}
 
 /// The held-out views. The captured photograph comes first, then the same photograph enhanced by the scene,
-/// the scene's best look and the 2D enhancer's image; the other pictures follow. The three folders are those
-/// of `render`, `evaluate` and `photographs`.
+/// the scene's best look and its clear view; the other pictures follow. Where the truth is known, the nearest
+/// of these is second and the truth third. The three folders are those of `render`, `evaluate` and
+/// `photographs`.
 fn views(
     [renders, evaluated, photographs]: [Option<&Path>; 3],
     scores: Option<&SceneScores>,
@@ -378,14 +417,16 @@ fn views(
 ) -> Result<Vec<ViewSection>, StageError> {
     let Some(renders) = renders else { return Ok(Vec::new()) };
     let captured = renders.join("captured");
-    let mut stems: Vec<String> = std::fs::read_dir(&captured)
+    let stems: Vec<String> = std::fs::read_dir(&captured)
         .map_err(|e| StageError::io(&captured, e))?
         .filter_map(|entry| Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned()))
         .collect();
-    stems.sort();
-    let count = stems.len().min(most);
+    let nearness = |method: Method| {
+        let mean = scores.and_then(|scores| scores.mean(method, "truth_psnr")?.value());
+        mean.unwrap_or(f64::NEG_INFINITY)
+    };
     let mut sections = Vec::new();
-    for stem in (0..count).map(|k| &stems[k * stems.len() / count]) {
+    for stem in ordered(stems, scores, most) {
         let picture = |label: &str, folder: &Path| -> Result<Option<Picture>, StageError> {
             let path = folder.join(format!("{stem}.png"));
             if !path.is_file() {
@@ -398,19 +439,34 @@ fn views(
             Some(evaluated) => picture(label, &evaluated.join(name)),
             None => Ok(None),
         };
-        let proposal = of_scores("2D enhancer", ENHANCED_IN_2D)?;
         // A synthetic capture knows the true appearance without water.
         let truth = of_scores("truth", TRUE_VIEWS)?;
         let enhanced =
-            photographs.map(|folder| picture("photograph, enhanced", folder)).transpose()?.flatten();
-        let lead = [picture("captured", &captured)?, enhanced, rendered(best)?, proposal, truth];
-        let images = OTHERS.into_iter().filter(|mode| *mode != best).map(rendered);
+            photographs.map(|folder| picture("enhanced photograph", folder)).transpose()?.flatten();
+        let mut looks =
+            vec![(nearness(Method::Photograph), enhanced), (nearness(scored_as(best)), rendered(best)?)];
+        if best != Mode::Clear {
+            looks.push((nearness(Method::Clear), rendered(Mode::Clear)?));
+        }
+        let mut lead = vec![picture("photograph", &captured)?];
+        if truth.is_some() {
+            looks.sort_by(|a, b| b.0.total_cmp(&a.0));
+        }
+        lead.extend(looks.into_iter().map(|(_, picture)| picture));
+        lead.insert(lead.len().min(2), truth);
+        let images = [of_scores("2D enhancer", ENHANCED_IN_2D)].into_iter().chain(OTHERS.map(rendered));
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         let lead = lead.into_iter().flatten().collect();
-        let scores = view_scores(stem, scores, scored_as(best));
-        sections.push(ViewSection { name: stem.clone(), lead, images, scores });
+        let scores = view_scores(&stem, scores, scored_as(best));
+        sections.push(ViewSection { name: stem, lead, images, scores });
     }
     Ok(sections)
+}
+
+/// A score of a held-out view.
+fn view_score(stem: &str, scores: Option<&SceneScores>, method: Method, metric: &str) -> Option<f64> {
+    let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
+    views.iter().find(|v| flat_stem(&v.view) == stem)?.scores.get(metric)?.value()
 }
 
 fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<String> {
@@ -423,12 +479,8 @@ fn view_scores(stem: &str, scores: Option<&SceneScores>, best: Method) -> Vec<St
         (best, "uciqe", &colours, 3),
         (best, "truth_psnr", &truth, 2),
     ];
-    let of = |method: Method, metric: &str| -> Option<f64> {
-        let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
-        views.iter().find(|v| flat_stem(&v.view) == stem)?.scores.get(metric)?.value()
-    };
     let text = |(method, metric, label, decimals): (Method, &str, &str, usize)| {
-        of(method, metric).map(|value| format!("{label} {value:.decimals$}"))
+        view_score(stem, scores, method, metric).map(|value| format!("{label} {value:.decimals$}"))
     };
     wanted.into_iter().filter_map(text).collect()
 }
@@ -464,12 +516,25 @@ fn water(parts: &ResultFolders<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let figures = kinds.into_iter().flat_map(|(name, unit, meaning, pick)| {
         let title = |by: &str| format!("{name} by {by}, {unit}");
         let direction = "degrees from the optical axis";
-        [
-            figure(&by_direction, title("direction"), direction, meaning, &along, pick),
-            figure(&by_position, title("place"), "training view", meaning, &from, pick),
-        ]
+        let both = [
+            (&by_direction, title("direction"), direction, &along),
+            (&by_position, title("place"), "training view", &from),
+        ];
+        let changing = both.into_iter().filter(move |(samples, ..)| !is_flat(samples, pick));
+        changing
+            .map(|(samples, title, axis, place)| figure(samples, title, axis, meaning, place, pick))
+            .collect::<Vec<_>>()
     });
     Ok(figures.collect())
+}
+
+/// True if no channel changes by more than a twentieth of its largest value: a chart would be a straight line.
+fn is_flat(samples: &[WaterSample], pick: Pick) -> bool {
+    (0..3).all(|c| {
+        let values = samples.iter().map(|sample| pick(sample)[c]);
+        let [least, most] = [values.clone().fold(f32::MAX, f32::min), values.fold(f32::MIN, f32::max)];
+        most - least <= 0.05 * most.abs()
+    })
 }
 
 /// Selects the one of the water's three quantities that is drawn.
@@ -507,12 +572,15 @@ fn strip(scores: &Path) -> Result<Option<Picture>, StageError> {
         return Ok(None);
     }
     let strip: Strip = read_json(&description)?;
-    let rows: Vec<String> =
-        strip.rows.iter().map(|(label, moved)| format!("{label} (ΔE {moved:.1})")).collect();
+    let row = |(label, mean): &(String, Option<f64>)| match mean {
+        Some(mean) => format!("{label} (ΔE {mean:.1})"),
+        None => label.clone(),
+    };
     let caption = format!(
-        "One spot of the scene in neighbouring views, enlarged twice. Rows from the top: {}. ΔE is the \
-         change of its mean colour from view to view. Columns: {}.",
-        rows.join(", "),
+        "One spot of the scene in neighbouring views, enlarged twice. Rows from the top: {}. ΔE is the mean \
+         change of colour over all pairs of neighbouring views, and the spot is one that stands for them. \
+         Columns: {}.",
+        strip.rows.iter().map(row).collect::<Vec<_>>().join(", "),
         strip.views.join(", ")
     );
     let sheet = read_image(&picture)?;

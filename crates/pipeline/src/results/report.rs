@@ -6,6 +6,7 @@
 use std::collections::HashMap;
 use std::fs;
 use std::io;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use use3d_judge::configuration::Configuration;
@@ -26,8 +27,8 @@ use use3d_workflow::run::NodeResult;
 use use3d_workflow::{Artifact, Digest, Graph, Summary};
 
 use super::{
-    DATA, Delivered, DeliveredCell, OVER_ALL, PAGE, Results, SEALED, STAMPED, TABLES, folder_of, lineage,
-    made_by_program, put, relative, sources_of,
+    DATA, Delivered, DeliveredCell, OVER_ALL, PAGE, Results, SEALED, STAMPED, TABLES, advice, folder_of,
+    lineage, made_by_program, put, relative, sources_of,
 };
 
 /// The most bytes of sections that are kept for results with the same artifacts.
@@ -217,10 +218,12 @@ fn page_of(
     own: &DeliveredCell<'_>,
     (made, scores): (&Made, &Option<MeanScores>),
     view: String,
-    command: &str,
+    (command, results): (&str, &Path),
 ) -> Page {
     let name = in_variant(own.scene, own.variant);
     let mut scene = made.section.clone();
+    // A scene that stays in the cache has no page in 3D, and no folder that commands could name.
+    scene.commands = advice::commands(&scene.story.next, command, (!view.is_empty()).then_some(results));
     (scene.name, scene.group, scene.page) = (name.clone(), settings.group(own.scene).into(), view);
     let has = |stages: &[&str]| own.nodes.iter().any(|node| stages.contains(&node.stage));
     if has(&["evaluate"]) && !has(&["targets", "propose"]) {
@@ -240,7 +243,7 @@ fn page_of(
     }
     Page {
         title: in_variant(&name, &settings.title),
-        subtitle: "one scene".into(),
+        subtitle: made.section.summary.clone(),
         verdict,
         settings: lineage::settings(made.configuration.iter().map(|made| (own.variant, &**made))),
         tables: scores
@@ -275,7 +278,7 @@ impl Results {
         let view = if view { super::VIEW.to_string() } else { String::new() };
         let html = Page {
             overview: format!("../{PAGE}"),
-            ..page_of(settings, own, (&made, &scores), view, command)
+            ..page_of(settings, own, (&made, &scores), view, (command, &folder))
         };
         STAMPED.write(&page, &at(&page, "write", html.html().map_err(io::Error::other))?)?;
         let written = ResultData {
@@ -347,7 +350,7 @@ impl Results {
     ) -> Result<Page, PlaceError> {
         let made = at(&self.out.join(PAGE), "write", self.memo.get(own, settings.views))?;
         let view = views.first().map_or_else(String::new, |view| relative(&view.path, &self.out));
-        let page = page_of(settings, own, (&made, &scored(settings, own, &made)), view, command);
+        let page = page_of(settings, own, (&made, &scored(settings, own, &made)), view, (command, &self.out));
         Ok(Page { missing: head.missing.clone(), ..page })
     }
 
