@@ -1,8 +1,8 @@
 //! The report of results. It only lays out what the stages measured and rendered.
 //!
 //! [`page`] is a page with its sections, [`index`] the overview of a batch, [`tables`] are the tables of many
-//! scenes as text, LaTeX, CSV and HTML, [`verdict`] writes sentences about scores, and [`story`] says the same
-//! in short and plain words.
+//! scenes as text, LaTeX, CSV and HTML, [`verdict`] writes sentences about scores, and [`story`] says
+//! the same in short and plain words.
 //!
 //! A batch of one result has one page with everything. Otherwise the page at the top is the overview, and
 //! every scene has a page in every variant.

@@ -528,7 +528,8 @@ fn water(parts: &ResultFolders<'_>) -> Result<Vec<PlotFigure>, StageError> {
     Ok(figures.collect())
 }
 
-/// True if no channel changes by more than a twentieth of its largest value: a chart would be a straight line.
+/// True if no channel changes by more than a twentieth of its largest value, so that a chart would be a
+/// straight line.
 fn is_flat(samples: &[WaterSample], pick: Pick) -> bool {
     (0..3).all(|c| {
         let values = samples.iter().map(|sample| pick(sample)[c]);
