@@ -13,8 +13,11 @@ const MOST: usize = 3;
 /// folder, if it has the scene.
 pub(super) fn commands(next: &[NextStep], typed: &str, results: Option<&Path>) -> Vec<(String, String)> {
     let said = |why: &str, command: String| (why.to_string(), command);
-    // The path of the program itself is of no use to the reader.
-    let typed = typed.split_once(' ').map_or("", |(_, rest)| rest);
+    // The path of the program itself, and flags before the verb, are of no use to the reader.
+    let mut typed = typed.split_once(' ').map_or("", |(_, rest)| rest);
+    while let Some(rest) = typed.strip_prefix('-').and_then(|flag| flag.split_once(' ')) {
+        typed = rest.1;
+    }
     let is_demo = typed.split(' ').any(|word| word == "demo");
     let mut all = Vec::new();
     if is_demo {
@@ -66,7 +69,7 @@ mod tests {
     fn commands_are_whole_and_repeat_what_was_typed() {
         let next = [NextStep::Again(vec![("--iterations ", 3000), ("--set enhance.iterations=", 1000)])];
         let of = |typed: &str| commands(&next, typed, Some(Path::new("use3d-out/my reef")));
-        let said = of("/bin/use3d run reef/ --iterations 300 --max-side 640");
+        let said = of("/bin/use3d -q run reef/ --iterations 300 --max-side 640");
         let again = "use3d run reef/ --iterations 3000 --max-side 640 --set enhance.iterations=1000";
         assert_eq!(said[0].1, again);
         assert_eq!(said[1].1, "use3d photographs 'use3d-out/my reef' --out 'use3d-out/my reef.photographs'");
