@@ -229,14 +229,20 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
         "pictures come before tables"
     );
     let label = |name: &str| page.find(&format!("data-label=\"{name}\"")).unwrap_or_else(|| panic!("{name}"));
-    let [first, truth, last] = ["photograph", "truth", "2D enhancer"].map(label);
-    let looks = ["enhanced photograph", "enhanced", "clear"].map(label);
+    let [first, truth, last] =
+        ["the photograph", "the truth (simulated)", "the photograph, enhanced alone"].map(label);
+    let looks =
+        ["the photograph, enhanced", "the scene, enhanced", "the scene without water (true for near things)"]
+            .map(label);
     assert!(looks.iter().all(|look| (first..last).contains(look)), "the page leads with what is asked for");
     assert!(
         looks.iter().filter(|look| **look < truth).count() == 1,
         "the truth stands beside the nearest look"
     );
-    assert!(!page.contains("data-label=\"enhanced-clear\""), "a look that is not for others to see");
+    assert!(
+        !page.contains("data-label=\"the scene, enhanced, without water\""),
+        "a look that is not for others to see"
+    );
     one_word_for_each_look(&path(&[Path::new(&out), Path::new("tiny/enhanced-scene")]), &capture, dir.path());
     let depth = scores.mean(Method::Reconstruction, "depth_error").and_then(|s| s.value()).unwrap();
     assert!(depth < 0.5, "depth off by {depth}");

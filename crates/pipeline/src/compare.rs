@@ -208,7 +208,7 @@ fn section(name: &str, sides: [&Folders; 2]) -> Result<SceneSection, WorkError> 
             }
         }
         images.extend(picture("", &renders[0], "captured")?);
-        section.views.push(ViewSection { name: stem.clone(), lead, images, scores: Vec::new() });
+        section.views.push(ViewSection { name: stem.clone(), lead, images, ..ViewSection::default() });
     }
     Ok(section)
 }

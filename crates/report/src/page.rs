@@ -135,6 +135,8 @@ impl SceneSection {
 pub struct ViewSection {
     /// Its name.
     pub name: String,
+    /// Its place among the held-out views; may be empty.
+    pub place: &'static str,
     /// The pictures that come first, side by side: captured, enhanced photograph, `enhanced`, `clear`.
     pub lead: Vec<Picture>,
     /// The other pictures: 2D enhancer, `reconstruction`, `depth`, …
@@ -507,6 +509,7 @@ mod tests {
                 name: "reef".into(),
                 views: vec![ViewSection {
                     name: "v".into(),
+                    place: "the middle one",
                     lead: vec![picture.clone()],
                     images: vec![Picture { label: "depth".into(), ..picture }],
                     scores: vec!["PSNR 1".into()],

@@ -4,6 +4,8 @@
 use use3d_capture::flat_stem;
 use use3d_judge::scores::{Method, SceneScores};
 
+use use3d_numerics::math;
+
 use crate::verdict::{PSNR, SceneFacts, Sentence, Tone, mean, steadiness};
 
 /// A training of this many times the usual steps has little left to gain.
@@ -48,12 +50,14 @@ fn headline(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Sentence 
     let hidden = scores.hidden_too_much().is_some();
     let (tone, scene) = match mean(scores, Method::Reconstruction, "psnr") {
         Some(_) if hidden => (Tone::Bad, "Masks hide most of the pictures, so the scene is hardly tested"),
-        Some(psnr) if psnr >= PSNR[0] => (Tone::Good, "The scene looks like photographs that it never saw"),
+        Some(psnr) if psnr >= PSNR[0] => {
+            (Tone::Good, "Pictures of the scene look like real photographs from the same places")
+        }
         Some(psnr) if psnr >= PSNR[1] => {
-            (Tone::Plain, "The scene can be recognised, but details are missing")
+            (Tone::Plain, "Pictures of the scene can be recognised, but details are missing")
         }
         Some(_) => {
-            (Tone::Bad, "Something went wrong: the scene does not look like photographs that it never saw")
+            (Tone::Bad, "Something went wrong: pictures of the scene do not look like the photographs")
         }
         None => (Tone::Plain, "The scene was not tested, because no photograph was kept back"),
     };
@@ -68,7 +72,9 @@ fn headline(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Sentence 
         }
         Tone::Plain => "",
     };
-    Sentence { tone, text: format!("{scene}{colours}.") }
+    let usual = |steps: &Option<(u64, u64)>| steps.is_some_and(|(done, usual)| (1..usual).contains(&done));
+    let short = if facts.steps.iter().any(usual) { " This was a short first look." } else { "" };
+    Sentence { tone, text: format!("{scene}{colours}.{short}") }
 }
 
 fn likeness(scores: &SceneScores) -> Option<String> {
@@ -81,10 +87,11 @@ fn likeness(scores: &SceneScores) -> Option<String> {
     });
     let kept_back = match views.len() {
         1 => "on the photograph that was kept back".to_string(),
-        n => format!("in the mean over {n} photographs that were kept back"),
+        n => format!("on average over the {n} photographs that were kept back"),
     };
     Some(format!(
-        "{psnr:.1} dB {kept_back}. From {:.0} dB on, a difference is hard to see.{weakest}",
+        "The score is {psnr:.1} dB (PSNR) {kept_back}. More is better; from {:.0} dB on, a difference is hard to \
+         see.{weakest}",
         PSNR[0]
     ))
 }
@@ -92,25 +99,42 @@ fn likeness(scores: &SceneScores) -> Option<String> {
 fn steadiness_in_words(scores: &SceneScores, best: Method) -> Option<String> {
     let of = |method| mean(scores, method, "w_delta_e");
     let ours = of(best)?;
-    let [photographs, renders] = [Method::Proposal, Method::ProposalOfRender].map(of);
     let others = [
-        photographs.map(|value| format!("{value:.1} where the 2D enhancer works on each photograph")),
-        renders.map(|value| format!("{value:.1} where it works on each picture of the scene")),
-        of(Method::Captured).map(|value| format!("{value:.1} in the photographs themselves")),
+        (Method::Captured, "in the photographs themselves"),
+        (Method::Proposal, "if a program enhances each photograph alone"),
+        (Method::ProposalOfRender, "if it enhances each picture of the scene alone"),
     ];
-    let others: Vec<String> = others.into_iter().flatten().collect();
+    let others = others.into_iter().filter_map(|(method, name)| Some(format!("{:.1} {name}", of(method)?)));
+    let others: Vec<String> = others.collect();
     let others = if others.is_empty() { String::new() } else { format!(" It is {}.", others.join(", ")) };
     Some(format!(
-        "From view to view the colour of a surface changes by ΔE {ours:.1}; 1 can just be seen.{others}"
+        "From view to view the colour of a surface changes by {ours:.1} (ΔE); 1 can just be seen.{others}"
     ))
 }
 
 fn water(facts: &SceneFacts) -> Option<String> {
-    if let Some((left, unit)) = facts.left {
-        let [red, green, blue] = left.map(|share| 100.0 * (1.0 - share));
+    const COLOURS: [&str; 3] = ["red", "green", "blue"];
+    if let Some((attenuation, metric)) = facts.attenuation {
+        if metric {
+            let [red, green, blue] = attenuation.map(|a| 100.0 * (1.0 - math::exp(-a)));
+            return Some(format!(
+                "Along one metre, {red:.0} % of the red light, {green:.0} % of the green and {blue:.0} % of the \
+                 blue are lost."
+            ));
+        }
+        let by_loss = |a: &usize, b: &usize| attenuation[*b].total_cmp(&attenuation[*a]);
+        let mut order = [0, 1, 2];
+        order.sort_by(by_loss);
+        let [first, second, third] = order;
+        let times = |c: usize| attenuation[first] / attenuation[c].max(1e-6);
         return Some(format!(
-            "Along one {unit}, {red:.0} % of the red light, {green:.0} % of the green and {blue:.0} % of the blue \
-             are lost."
+            "It takes {} light most: {:.1} times as much as {} and {:.1} times as much as {}. How much along a \
+             metre is not known, because the scene has no metres.",
+            COLOURS[first],
+            times(second),
+            COLOURS[second],
+            times(third),
+            COLOURS[third]
         ));
     }
     (!facts.water.is_empty()).then(|| facts.water.clone())
@@ -163,7 +187,7 @@ mod tests {
             )
         );
         assert!(of(33.0, 4.0).text.contains("but its colours are less steady"));
-        assert!(of(25.0, 2.0).text.starts_with("The scene can be recognised"));
+        assert!(of(25.0, 2.0).text.starts_with("Pictures of the scene can be recognised"));
         let bad = of(15.0, 2.0);
         assert!(bad.tone == Tone::Bad && !bad.text.contains("steadier"), "{bad:?}");
         let untested = told(&scene(&[(Method::Reconstruction, &[])]), &SceneFacts::default());
@@ -178,15 +202,21 @@ mod tests {
             (Method::Reconstruction, &[("psnr", 33.0)]),
             (Method::Enhanced, &[("w_delta_e", 1.2)]),
         ]);
-        let facts = SceneFacts { left: Some(([0.67, 0.87, 0.9], "metre")), ..SceneFacts::default() };
+        let facts = SceneFacts { attenuation: Some(([0.4, 0.14, 0.1], true)), ..SceneFacts::default() };
         let [(_, like), (_, steady), (_, water)] = &told(&scores, &facts).facts[..] else {
             panic!("three facts")
         };
         assert!(
-            like.contains("33.0 dB in the mean over 2 photographs") && like.contains("view is b, with 30.0")
+            like.contains("33.0 dB (PSNR) on average over the 2 photographs")
+                && like.contains("view is b, with 30.0")
         );
-        assert!(steady.contains("ΔE 1.2") && steady.contains("3.9 where the 2D enhancer"), "{steady}");
+        assert!(steady.contains("by 1.2 (ΔE)") && steady.contains("3.9 if a program enhances"), "{steady}");
         assert!(water.contains("Along one metre, 33 % of the red light, 13 % of the green"), "{water}");
+        let facts = SceneFacts { attenuation: Some(([0.4, 0.1, 0.2], false)), ..SceneFacts::default() };
+        let water = &told(&scores, &facts).facts[2].1;
+        assert!(
+            water.contains("takes red light most: 2.0 times as much as blue and 4.0 times as much as green")
+        );
         let facts = SceneFacts { water: "No water found.".into(), ..SceneFacts::default() };
         assert_eq!(told(&scores, &facts).facts[2].1, "No water found.");
     }

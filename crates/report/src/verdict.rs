@@ -37,9 +37,9 @@ pub struct Sentence {
 pub struct SceneFacts {
     /// Sentences on the water; empty if nothing is known.
     pub water: String,
-    /// The light of red, green and blue that is left after one unit of the water's length, 0 to 1, with the
-    /// name of that unit; `None` if the tracks do not tell it.
-    pub left: Option<([f64; 3], &'static str)>,
+    /// The attenuation of red, green and blue, and true if it is per metre, else per unit of the scene's
+    /// length; `None` if the tracks do not tell it.
+    pub attenuation: Option<([f64; 3], bool)>,
     /// Steps of stage 1 and of stage 2, each with the usual number; `None` for a stage that did not run.
     pub steps: [Option<(u64, u64)>; 2],
     /// True if stage 2 had nothing to learn, because the colours stay as photographed.

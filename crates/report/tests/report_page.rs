@@ -45,6 +45,7 @@ fn report() -> String {
         notes: vec![long.into()],
         views: vec![ViewSection {
             name: long.into(),
+            place: "the middle one",
             lead: vec![picture("captured"), picture("enhanced")],
             images: vec![picture("clear"), picture("depth")],
             scores: vec!["PSNR 24.10".into()],

@@ -13,7 +13,6 @@ use use3d_atc::consensus::TargetsReport;
 use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
 use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
-use use3d_numerics::math;
 use use3d_reconstruct::ReconstructParams;
 use use3d_render::{Mode, WaterSample, medium_along, medium_profile};
 use use3d_scene::Scene;
@@ -188,10 +187,10 @@ pub fn section(parts: &ResultFolders<'_>, most: usize) -> Result<ResultSection, 
         let (w, h) = scores.size;
         let kept_back = match scores.held_out_views {
             0 => String::new(),
-            n => format!(", {n} of them kept back as a test"),
+            n => format!("; {n} kept back as a test"),
         };
-        section.summary =
-            format!("{} photographs{kept_back}.", scores.training_views + scores.held_out_views);
+        let photographs = scores.training_views + scores.held_out_views;
+        section.summary = format!("{photographs} photographs made into a 3D scene{kept_back}.");
         section.notes = vec![format!("Pictures of {w}×{h} pixels, {} Gaussians.", scores.gaussians)];
         section.notes.extend(left_out(scores));
     }
@@ -255,7 +254,7 @@ fn facts(parts: &ResultFolders<'_>, log: Option<&str>, targets: Option<&TargetsR
     let pairs = provenance.and_then(Result::ok).map_or(0, |provenance| provenance.pairs);
     SceneFacts {
         water: parts.path("reconstruct").map(water_sentences).unwrap_or_default(),
-        left: parts.path("reconstruct").and_then(light_left),
+        attenuation: parts.path("reconstruct").and_then(attenuation),
         steps: [
             log.map(|log| (last_step(log), ReconstructParams::default().iterations)),
             training_log(parts, "enhance").map(|log| (last_step(&log), EnhanceParams::default().iterations)),
@@ -277,18 +276,15 @@ fn water_sentences(scene: &Path) -> String {
     [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
 }
 
-/// The light that is left after a metre of water, or after a unit of the scene; `None` if the tracks do not
-/// tell it in every colour.
-fn light_left(scene: &Path) -> Option<([f64; 3], &'static str)> {
+/// The attenuation of each colour, and true if it is per metre; `None` if the tracks do not tell it in every
+/// colour.
+fn attenuation(scene: &Path) -> Option<([f64; 3], bool)> {
     let water: Value = read_json(&scene.join(WATER)).ok()?;
-    if water["judgement"] != "found" {
-        return None;
-    }
-    let in_metres = |c: usize| water["metric"]["attenuation"][c]["value"].as_f64();
-    let in_units = |c: usize| water["channels"][c]["attenuation"]["value"].as_f64();
-    let each = |of: &dyn Fn(usize) -> Option<f64>| Some([of(0)?, of(1)?, of(2)?].map(|a| math::exp(-a)));
-    let metres = each(&in_metres).map(|left| (left, "metre"));
-    metres.or_else(|| Some((each(&in_units)?, "unit of length of this scene")))
+    let each = |of: &dyn Fn(usize) -> Option<f64>| Some([of(0)?, of(1)?, of(2)?]);
+    let in_metres = each(&|c| water["metric"]["attenuation"][c]["value"].as_f64());
+    let in_units = each(&|c| water["channels"][c]["attenuation"]["value"].as_f64());
+    let known = in_metres.map(|values| (values, true)).or_else(|| Some((in_units?, false)));
+    known.filter(|_| water["judgement"] == "found")
 }
 
 /// A sentence on the metres of a unit; empty if they are not known.
@@ -387,6 +383,18 @@ pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
 /// The pictures of a scene that follow those that come first.
 const OTHERS: [Mode; 3] = [Mode::Reconstruction, Mode::Depth, Mode::Medium];
 
+/// The caption of a scene's picture.
+fn caption(mode: Mode) -> &'static str {
+    match mode {
+        Mode::Enhanced => "the scene, enhanced",
+        Mode::EnhancedClear => "the scene, enhanced, without water",
+        Mode::Clear => "the scene without water (true for near things)",
+        Mode::Reconstruction => "the scene as photographed",
+        Mode::Medium => "the water alone",
+        other => other.name(),
+    }
+}
+
 /// The names of held-out views in the order of the page, at most `most`: the median one and the best one by
 /// PSNR, then others evenly chosen. Without scores the middle one is first.
 fn ordered(mut stems: Vec<String>, scores: Option<&SceneScores>, most: usize) -> Vec<String> {
@@ -426,7 +434,7 @@ fn views(
         mean.unwrap_or(f64::NEG_INFINITY)
     };
     let mut sections = Vec::new();
-    for stem in ordered(stems, scores, most) {
+    for (k, stem) in ordered(stems, scores, most).into_iter().enumerate() {
         let picture = |label: &str, folder: &Path| -> Result<Option<Picture>, StageError> {
             let path = folder.join(format!("{stem}.png"));
             if !path.is_file() {
@@ -434,31 +442,38 @@ fn views(
             }
             Ok(Some(Picture::embed(label, "", &read_image(&path)?)?))
         };
-        let rendered = |mode: Mode| picture(mode.name(), &renders.join(mode.name()));
+        let rendered = |mode: Mode| picture(caption(mode), &renders.join(mode.name()));
         let of_scores = |label: &str, name: &str| match evaluated {
             Some(evaluated) => picture(label, &evaluated.join(name)),
             None => Ok(None),
         };
         // A synthetic capture knows the true appearance without water.
-        let truth = of_scores("truth", TRUE_VIEWS)?;
+        let truth = of_scores("the truth (simulated)", TRUE_VIEWS)?;
         let enhanced =
-            photographs.map(|folder| picture("enhanced photograph", folder)).transpose()?.flatten();
+            photographs.map(|folder| picture("the photograph, enhanced", folder)).transpose()?.flatten();
         let mut looks =
             vec![(nearness(Method::Photograph), enhanced), (nearness(scored_as(best)), rendered(best)?)];
         if best != Mode::Clear {
             looks.push((nearness(Method::Clear), rendered(Mode::Clear)?));
         }
-        let mut lead = vec![picture("photograph", &captured)?];
+        let mut lead = vec![picture("the photograph", &captured)?];
         if truth.is_some() {
             looks.sort_by(|a, b| b.0.total_cmp(&a.0));
         }
         lead.extend(looks.into_iter().map(|(_, picture)| picture));
         lead.insert(lead.len().min(2), truth);
-        let images = [of_scores("2D enhancer", ENHANCED_IN_2D)].into_iter().chain(OTHERS.map(rendered));
+        let images = [of_scores("the photograph, enhanced alone", ENHANCED_IN_2D)]
+            .into_iter()
+            .chain(OTHERS.map(rendered));
         let images = images.collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect();
         let lead = lead.into_iter().flatten().collect();
         let scores = view_scores(&stem, scores, scored_as(best));
-        sections.push(ViewSection { name: stem, lead, images, scores });
+        let place = match k {
+            0 => "of all photographs that were kept back, the middle one by likeness",
+            1 => "the one where scene and photograph are most alike",
+            _ => "",
+        };
+        sections.push(ViewSection { name: stem, place, lead, images, scores });
     }
     Ok(sections)
 }

@@ -42,7 +42,7 @@ pub(super) fn commands(next: &[NextStep], typed: &str, results: Option<&Path>) -
     let Some(results) = results else { return all };
     let (out, folder) = (word(results), word(&results.with_extension("photographs")));
     all.extend([
-        said("Get your own photographs in these colours", format!("use3d photographs {out} --out {folder}")),
+        said("Get all of the photographs back, enhanced", format!("use3d photographs {out} --out {folder}")),
         said("Swim through the scene", format!("use3d view {out}")),
         said("Make a film of it", format!("use3d render {out} --path interpolate --video film.mp4")),
     ]);
