@@ -8,7 +8,7 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, Role};
+use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, MediumUir, Role};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -102,6 +102,7 @@ macro_rules! media {
             /// water all maps are zero.
             pub fn maps(&self, camera: &Camera, lattice: &Lattice, active_degree: usize, out: &mut MediumMaps) {
                 out.formation = self.kind().formation();
+                out.network = None;
                 match self {
                     $(Self::$kind(m) => m.maps(camera, lattice, active_degree.min(3), out),)+
                     Self::None => {
@@ -191,9 +192,10 @@ media! {
     Mlp(MediumMlp, PerGaussian) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
     Global(MediumGlobal, PerGaussian) = "global";
-    /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's and 3D-UIR's
-    /// formation).
+    /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's formation).
     Image(MediumGlobal, PerImage) = "image";
+    /// A network of the inverse depth and the camera's pose, applied to the finished image (3D-UIR's water).
+    Uir(MediumUir, DepthNetwork) = "uir";
 }
 
 impl MediumKind {

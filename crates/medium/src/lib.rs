@@ -6,7 +6,8 @@
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
 //! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
-//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat and 3D-UIR.
+//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat, and another one has
+//! a network of the inverse depth there ([`MediumUir`], as in 3D-UIR).
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
@@ -19,6 +20,7 @@ mod medium;
 mod mlp;
 mod rbf;
 mod tensors;
+mod uir;
 
 pub use directional::Coefficients;
 pub use global::MediumGlobal;
@@ -27,6 +29,7 @@ pub use medium::{Anchors, Harmonics, MediumStart};
 pub use mlp::MediumMlp;
 pub use rbf::MediumRbf;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
+pub use uir::MediumUir;
 
 /// The role of a parameter, by which an optimiser chooses its learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -1,11 +1,11 @@
 //! Compares with goldens and finite differences, and compares the vector code with its plain form.
 
-use glam::DVec3;
-use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use glam::{DMat3, DVec3};
+use use3d_capture::{Camera, DepthNetwork, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
+use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, MediumUir, directional};
 
 fn case_camera(case: &Case<'_>) -> Camera {
     let rotation = case.rotations()[0];
@@ -74,6 +74,7 @@ fn golden_medium() {
                 backscatter: d_map("beta_bs"),
                 attenuation: d_map("beta_attn"),
                 formation: Formation::default(),
+                network: None,
             };
             let mut gradient = model.zeros_like();
             model.backward(&camera, &lattice, degree, &maps, &d_maps, &mut gradient);
@@ -128,6 +129,13 @@ fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
             }
             MediumModel::Mlp(network)
         }
+        MediumKind::Uir => {
+            let mut water = MediumModel::Uir(MediumUir::new(stream.bits(0)));
+            let moved: Vec<f32> =
+                water.flat().iter().enumerate().map(|(i, v)| v + 0.2 * n(i as u64)).collect();
+            assert!(water.set_flat(&moved));
+            water
+        }
     }
 }
 
@@ -141,13 +149,65 @@ fn random_maps(stream: &Stream, width: usize, height: usize) -> MediumMaps {
         backscatter: image(30_000),
         attenuation: image(50_000),
         formation: Formation::default(),
+        network: None,
     }
 }
 
 fn dot(a: &MediumMaps, b: &MediumMaps) -> f64 {
     let images = [(&a.color, &b.color), (&a.backscatter, &b.backscatter), (&a.attenuation, &b.attenuation)];
     let pairs = images.iter().flat_map(|(x, y)| x.data().iter().zip(y.data()));
-    pairs.map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+    let numbers = a.network.iter().zip(&b.network).flat_map(|(x, y)| x.values().zip(y.values()));
+    pairs.chain(numbers).map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+}
+
+/// The gradients that a model of a kind reads: coefficients of a depth network are shown and not used.
+fn read_by(kind: MediumKind, stream: &Stream, mut d_maps: MediumMaps) -> MediumMaps {
+    if kind == MediumKind::Uir {
+        d_maps.backscatter.data_mut().fill(0.0);
+        d_maps.attenuation.data_mut().fill(0.0);
+        let mut network = DepthNetwork::default();
+        network.values_mut().enumerate().for_each(|(i, v)| *v = 50.0 * stream.normal(i as u64) as f32);
+        d_maps.network = Some(Box::new(network));
+    }
+    d_maps
+}
+
+#[test]
+fn golden_water_of_3d_uir() {
+    let part = Part::math("uir");
+    let case = part.cases().into_iter().find(|case| case.name() == "water").unwrap();
+    let names = [
+        "constants",
+        "code_weight",
+        "code_bias",
+        "depth_weight",
+        "hidden_weight",
+        "hidden_bias",
+        "output_weight",
+        "output_bias",
+    ];
+    let mut model = MediumModel::Uir(MediumUir::new(0));
+    let given: Vec<f32> = names.iter().flat_map(|name| case.f32(&format!("in.{name}"))).collect();
+    assert!(model.set_flat(&given));
+    let rotation = DMat3::from_cols_slice(&case.f64("in.rotation")).transpose();
+    let intrinsics = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+    let center = DVec3::from_slice(&case.f64("in.center"));
+    let camera = Camera { intrinsics, pose: Pose { rotation, translation: -(rotation * center) } };
+    let (lattice, mut maps) = (Lattice::full(&intrinsics), MediumMaps::zeros(0, 0));
+    model.maps(&camera, &lattice, 3, &mut maps);
+    let numbers = |maps: &MediumMaps| -> Vec<f32> { maps.network.as_ref().unwrap().values().copied().collect() };
+    case.check("out.color", maps.color.data());
+    case.check("out.network", &numbers(&maps));
+    let mut d_maps = MediumMaps::zeros(1, 1);
+    d_maps.color.data_mut().copy_from_slice(&case.f32("cot.color"));
+    let mut d_network = DepthNetwork::default();
+    d_network.values_mut().zip(case.f32("cot.network")).for_each(|(value, given)| *value = given);
+    d_maps.network = Some(Box::new(d_network));
+    let mut gradient = model.zeros_like();
+    model.backward(&camera, &lattice, 3, &maps, &d_maps, &mut gradient);
+    for (name, (_, values)) in names.iter().zip(gradient.groups()) {
+        case.check(&format!("grad.all.{name}"), values);
+    }
 }
 
 #[test]
@@ -156,8 +216,8 @@ fn gradients_agree_with_finite_differences() {
         let stream = Stream::new(seed, Purpose::new("medium finite differences"), 0);
         let camera = camera(&stream, 37, 19);
         let lattice = Lattice::full(&camera.intrinsics);
-        let d_maps = random_maps(&stream, 37, 19);
-        for kind in [MediumKind::Global, MediumKind::Image, MediumKind::Rbf, MediumKind::Mlp] {
+        for &kind in MediumKind::ALL.iter().filter(|kind| **kind != MediumKind::None) {
+            let d_maps = read_by(kind, &stream, random_maps(&stream, 37, 19));
             for degree in [1, 3] {
                 let mut model = random_model(&stream, kind);
                 let mut maps = MediumMaps::zeros(1, 1);

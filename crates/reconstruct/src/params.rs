@@ -178,6 +178,9 @@ pub struct Densify {
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
+    /// With the strategy `3dgs`, the mean absolute screen gradient above which large Gaussians are split; small
+    /// ones are still duplicated by `gradient_threshold`. 0: it decides on both.
+    pub split_threshold: f64,
     /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). For
     /// other images screen gradients are multiplied by (pixels / this) to the power of `size_exponent`. 0:
     /// never.
@@ -204,6 +207,10 @@ pub struct Densify {
     pub cull_screen: f64,
     /// Opacities are lowered to this at every ceiling.
     pub opacity_ceiling: f64,
+    /// With the strategy `3dgs`, steps between ceilings of `lower_to`. 0: never.
+    pub lower_every: u64,
+    /// Opacities are lowered to this at those.
+    pub lower_to: f64,
     /// Strength of the noise that moves nearly transparent Gaussians at every ceiling, in steps of centres.
     pub noise: f64,
     /// Culling never leaves fewer Gaussians than this …
@@ -226,6 +233,7 @@ impl Default for Densify {
             pause: 125,
             until: 2.0 / 3.0,
             gradient_threshold: 2.05e-3,
+            split_threshold: 0.0,
             reference_pixels: 1400 * 933,
             size_exponent: 0.2,
             split_scale: 1e-3,
@@ -236,6 +244,8 @@ impl Default for Densify {
             cull_scale: 10.0,
             cull_screen: 0.0,
             opacity_ceiling: 0.45,
+            lower_every: 0,
+            lower_to: 0.8,
             noise: 0.0,
             floor: 100,
             floor_share: 0.1,
@@ -247,8 +257,17 @@ impl Default for Densify {
 impl Densify {
     /// The scale of screen gradients for the size of the images.
     pub fn gradient_scale(&self) -> GradientScale {
-        let signed = self.strategy == Strategy::Signed;
-        GradientScale { reference_pixels: self.reference_pixels, exponent: self.size_exponent, signed }
+        GradientScale {
+            reference_pixels: self.reference_pixels,
+            exponent: self.size_exponent,
+            signed: self.strategy == Strategy::Signed,
+            both: self.compares_both(),
+        }
+    }
+
+    /// True if signed screen gradients decide on duplicates, and absolute ones on splits.
+    pub fn compares_both(&self) -> bool {
+        self.strategy == Strategy::Signed && self.split_threshold > 0.0
     }
 }
 
@@ -287,6 +306,12 @@ pub struct ReconstructParams {
     /// Weight of the depth-ranking term: near patches of the prior must be near in the scene. It ends with
     /// density control's growth.
     pub ranking_weight: f64,
+    /// Weight of the distance between inverse depth and the depth prior, in the units of the inverse depth.
+    pub inverse_depth_weight: f64,
+    /// Weight of the variation of inverse depth between neighbouring pixels. It begins after the warm-up.
+    pub variation_weight: f64,
+    /// Weight of the Gaussians' mean smallest standard deviation: they become flat.
+    pub flatness_weight: f64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
     /// True if gradients flow through the ray distances of the water's terms (R2).
@@ -357,6 +382,9 @@ impl Default for ReconstructParams {
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             ranking_weight: 0.0,
+            inverse_depth_weight: 0.0,
+            variation_weight: 0.0,
+            flatness_weight: 0.0,
             complete_at: 0,
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
@@ -427,6 +455,9 @@ impl ReconstructParams {
         }
         not_negative("depth_weight", self.depth_weight)?;
         not_negative("ranking_weight", self.ranking_weight)?;
+        not_negative("inverse_depth_weight", self.inverse_depth_weight)?;
+        not_negative("variation_weight", self.variation_weight)?;
+        not_negative("flatness_weight", self.flatness_weight)?;
         not_negative("exposure_weight", self.exposure_weight)?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
@@ -448,6 +479,7 @@ impl ReconstructParams {
         share("densify.cull_opacity_late", d.cull_opacity_late)?;
         share("densify.floor_share", d.floor_share)?;
         positive("densify.gradient_threshold", d.gradient_threshold)?;
+        not_negative("densify.split_threshold", d.split_threshold)?;
         share("densify.size_exponent", d.size_exponent)?;
         positive("densify.split_scale", d.split_scale)?;
         positive("densify.shrink", d.shrink)?;
@@ -455,8 +487,12 @@ impl ReconstructParams {
         not_negative("densify.cull_screen", d.cull_screen)?;
         not_negative("densify.noise", d.noise)?;
         not_negative("network_clip", self.network_clip)?;
-        if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
-            return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
+        for (path, most) in
+            [("densify.opacity_ceiling", d.opacity_ceiling), ("densify.lower_to", d.lower_to)]
+        {
+            if !(most > 0.0 && most < 1.0) {
+                return Err(OutOfRange::new(path, most, "between 0 and 1"));
+            }
         }
         share("unknown_below", self.unknown_below)?;
         share("hidden_below", self.hidden_below)?;
@@ -520,7 +556,8 @@ impl ReconstructParams {
 
     /// True if something reads depth priors.
     pub fn uses_priors(&self) -> bool {
-        self.depth_weight > 0.0 || self.ranking_weight > 0.0 || self.complete_at > 0
+        let weights = [self.depth_weight, self.ranking_weight, self.inverse_depth_weight];
+        weights.iter().any(|weight| *weight > 0.0) || self.complete_at > 0
     }
 
     /// The step from which no Gaussians are added.

@@ -435,8 +435,8 @@ impl ReconstructRun<'_> {
             Some(Refinement::Pause) => self.engine.forget_statistics()?,
             None => {}
         }
-        if work.ceiling {
-            self.engine.limit_opacity(self.params.densify.opacity_ceiling)?;
+        if let Some(ceiling) = work.ceiling {
+            self.engine.limit_opacity(ceiling)?;
             self.log.push(LogEntry::Ceiling { step: self.step + 1 });
             self.scatter()?;
         }

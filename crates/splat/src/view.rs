@@ -25,7 +25,7 @@ pub struct Options {
     pub depth_gradient: bool,
     /// True if [`Rendered::layers`] is filled.
     pub layers: bool,
-    /// True if [`GaussianGradients::screen`] has the gradients themselves, so that opposite ones cancel.
+    /// True if [`GaussianGradients::signed_screen`] is filled: there opposite gradients cancel.
     pub signed_screen: bool,
 }
 

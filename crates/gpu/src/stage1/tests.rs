@@ -95,6 +95,7 @@ fn plan(step: u64) -> StepPlan {
             reference_pixels: 1000,
             exponent: 0.5,
             signed: false,
+            both: false,
         }),
     }
 }

@@ -125,6 +125,8 @@ impl CpuEngine {
                 accumulation: &b.rendered.accumulation,
                 water: maps,
                 target: &b.target,
+                gaussians: &state.gaussians,
+                prepared: &b.prepared,
             },
             &plan.weights,
         );
@@ -144,6 +146,7 @@ impl CpuEngine {
             &d_rendered,
             Gradients { gaussians: &mut b.gradients, medium: water.then_some(&mut b.map_gradients) },
         );
+        self.losses.gradients.add_scales(&mut b.gradients.log_scales);
         profile.lap(StepPart::ComposeBackward);
         if water {
             self.losses.gradients.add_water(&mut b.map_gradients);
@@ -224,7 +227,7 @@ impl CpuEngine {
             // Pixels are counted at full size for every divisor: the pyramid's larger gradients are part of
             // the method.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
-            state.statistics.gather(&self.buffers.gradients, width, height, scale.at(pixels));
+            state.statistics.gather(&self.buffers.gradients, width, height, &scale, pixels);
             if scale.signed {
                 state.statistics.radii.resize(state.gaussians.len(), 0.0);
                 self.buffers.prepared.raise_radii(&mut state.statistics.radii);

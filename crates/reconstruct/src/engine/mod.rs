@@ -106,6 +106,8 @@ pub struct GradientScale {
     pub exponent: f64,
     /// True if opposite gradients of a Gaussian cancel and radii are kept; else absolute values are summed.
     pub signed: bool,
+    /// True if absolute values are summed beside signed ones.
+    pub both: bool,
 }
 
 impl GradientScale {

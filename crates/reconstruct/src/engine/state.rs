@@ -8,6 +8,7 @@ use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
+use super::GradientScale;
 use crate::density::Origin;
 use crate::exposure::Exposures;
 
@@ -51,7 +52,8 @@ impl Moments {
 /// Screen gradients since the last refinement, one row per Gaussian.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Statistics {
-    /// Sums of their norms, as [density control](crate::density) scales them.
+    /// Sums of their norms, as [density control](crate::density) scales them. If it compares signed and
+    /// absolute ones, the rows of the absolute ones follow.
     pub norms: Vec<f32>,
     /// Renders in which the Gaussian was visible.
     pub renders: Vec<u32>,
@@ -65,23 +67,52 @@ impl Statistics {
         Self { norms: vec![0.0; n], renders: vec![0; n], radii: Vec::new() }
     }
 
-    /// Adds one render of `width × height` pixels, with norms multiplied by `scale`.
-    pub fn gather(&mut self, gradients: &GaussianGradients, width: usize, height: usize, scale: f32) {
-        let (sx, sy) = (0.5 * scale * width as f32, 0.5 * scale * height as f32);
-        for (i, (screen, &visible)) in gradients.screen.iter().zip(&gradients.visible).enumerate() {
+    /// Adds one render of `width × height` pixels, which counts as one of `pixels`.
+    pub fn gather(
+        &mut self,
+        gradients: &GaussianGradients,
+        width: usize,
+        height: usize,
+        scale: &GradientScale,
+        pixels: f64,
+    ) {
+        let (at, n) = (scale.at(pixels), self.renders.len());
+        let (sx, sy) = (0.5 * at * width as f32, 0.5 * at * height as f32);
+        let norm = |screen: &[f32; 2]| {
+            let (x, y) = (sx * screen[0], sy * screen[1]);
+            (x * x + y * y).sqrt()
+        };
+        if scale.both {
+            self.norms.resize(2 * n, 0.0);
+        }
+        let (first, absolute) = self.norms.split_at_mut(n);
+        let screen = if scale.signed { &gradients.signed_screen } else { &gradients.screen };
+        for (i, (screen, &visible)) in screen.iter().zip(&gradients.visible).enumerate() {
             if visible {
-                let (x, y) = (sx * screen[0], sy * screen[1]);
-                self.norms[i] += (x * x + y * y).sqrt();
+                first[i] += norm(screen);
                 self.renders[i] += 1;
             }
+        }
+        let seen = gradients.screen.iter().zip(&gradients.visible);
+        for (sum, (screen, _)) in absolute.iter_mut().zip(seen).filter(|(_, (_, visible))| **visible) {
+            *sum += norm(screen);
         }
     }
 
     /// The mean norm of a Gaussian; 0 if it was not seen.
     pub fn mean(&self, gaussian: usize) -> f64 {
-        match self.renders[gaussian] {
-            0 => 0.0,
-            n => f64::from(self.norms[gaussian]) / f64::from(n),
+        self.mean_of(gaussian, gaussian)
+    }
+
+    /// The mean absolute norm of a Gaussian, if it is summed beside the signed one.
+    pub fn absolute_mean(&self, gaussian: usize) -> f64 {
+        self.mean_of(self.renders.len() + gaussian, gaussian)
+    }
+
+    fn mean_of(&self, row: usize, gaussian: usize) -> f64 {
+        match (self.norms.get(row), self.renders[gaussian]) {
+            (None, _) | (_, 0) => 0.0,
+            (Some(sum), n) => f64::from(*sum) / f64::from(n),
         }
     }
 }
@@ -155,7 +186,7 @@ impl TrainingState {
             return wrong(format!("its colours have degree {}, expected 0 to 3", self.gaussians.sh_degree));
         }
         let statistics = [self.statistics.norms.len(), self.statistics.renders.len()];
-        if statistics != [n; 2] || ![0, n].contains(&self.statistics.radii.len()) {
+        if statistics[1] != n || ![n, 2 * n].contains(&statistics[0]) || ![0, n].contains(&self.statistics.radii.len()) {
             return wrong(format!("its statistics have {statistics:?} rows, expected {n}"));
         }
         let (count, moments) = (self.medium.parameter_count(), self.medium_moments.each_ref().map(Vec::len));
@@ -234,13 +265,24 @@ mod tests {
     fn screen_gradients_are_scaled_by_half_of_each_side() {
         let gradients = GaussianGradients {
             screen: vec![[0.3, 0.4]; 2],
+            signed_screen: vec![[0.3, 0.0]; 2],
             visible: vec![true, false],
             ..GaussianGradients::default()
         };
-        let mut seen = Statistics::new(2);
-        seen.gather(&gradients, 20, 10, 2.0);
+        let scale = GradientScale { reference_pixels: 50, exponent: 0.5, signed: false, both: false };
+        let gathered = |scale: GradientScale| {
+            let mut seen = Statistics::new(2);
+            seen.gather(&gradients, 20, 10, &scale, 200.0);
+            assert_eq!(seen.renders, [1, 0]);
+            seen
+        };
+        let seen = gathered(scale);
         assert!((seen.norms[0] - 52.0f32.sqrt()).abs() < 1e-5, "{:?}", seen.norms);
-        assert_eq!((seen.norms[1], &seen.renders[..]), (0.0, &[1, 0][..]));
+        assert_eq!((seen.norms.len(), seen.norms[1]), (2, 0.0));
+        // Signed ones, and the absolute ones beside them.
+        let both = gathered(GradientScale { signed: true, both: true, ..scale });
+        assert!((both.mean(0) - 6.0).abs() < 1e-5 && (both.absolute_mean(0) - seen.mean(0)).abs() < 1e-6);
+        assert_eq!((both.absolute_mean(1), seen.absolute_mean(0)), (0.0, 0.0));
     }
 
     fn state(medium: MediumModel) -> TrainingState {

@@ -55,6 +55,8 @@ pub struct ViewGradients {
     pub backscatter: Slot<3>,
     /// Gradient with respect to the attenuation coefficient.
     pub attenuation: Slot<3>,
+    /// Gradient with respect to the log standard deviations of all Gaussians; empty until a term adds one.
+    log_scales: Vec<[f32; 3]>,
 }
 
 impl ViewGradients {
@@ -64,6 +66,20 @@ impl ViewGradients {
         }
         for slot in [&mut self.depth, &mut self.accumulation] {
             slot.given = false;
+        }
+        self.log_scales.clear();
+    }
+
+    /// The gradient with respect to the log standard deviations of `n` Gaussians, to which a term adds.
+    pub fn log_scales(&mut self, n: usize) -> &mut [[f32; 3]] {
+        self.log_scales.resize(n, [0.0; 3]);
+        &mut self.log_scales
+    }
+
+    /// Adds the terms' own gradients of the Gaussians' sizes.
+    pub(crate) fn add_scales(&self, sum: &mut [[f32; 3]]) {
+        for (sum, own) in sum.as_flattened_mut().iter_mut().zip(self.log_scales.as_flattened()) {
+            *sum += own;
         }
     }
 

@@ -10,11 +10,14 @@
 //! it read ([`ViewGradients`]).
 
 mod depth;
+mod flatness;
 mod gradients;
+mod inverse_depth;
 mod photometric;
 mod ranking;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
+use use3d_splat::{Gaussians, Prepared};
 
 pub use depth::{DEPTH_SCALE, DepthPriorLoss, FEWEST_PIXELS};
 pub use gradients::{Slot, ViewGradients};
@@ -24,8 +27,15 @@ use crate::{ReconstructParams, Target};
 
 /// Every term, in the order in which values are summed and reported: those of the method, then those of the
 /// methods it is compared with.
-pub const TERMS: &[LossTerm] =
-    &[photometric::TERM, depth::TERM, photometric::ONE_LEVEL, photometric::PLAIN, ranking::TERM];
+pub const TERMS: &[LossTerm] = &[
+    photometric::TERM,
+    depth::TERM,
+    photometric::ONE_LEVEL,
+    photometric::PLAIN,
+    ranking::TERM,
+    inverse_depth::TERM,
+    flatness::TERM,
+];
 
 /// Number of values of the method's own terms. A log has these in every line, and others where they have a
 /// value.
@@ -67,6 +77,10 @@ pub struct Observation<'a> {
     pub water: Option<&'a MediumMaps>,
     /// The photograph, the pixels of it that count, and other known data of the view.
     pub target: &'a Target,
+    /// The Gaussians.
+    pub gaussians: &'a Gaussians,
+    /// Those of them that reach the view.
+    pub prepared: &'a Prepared,
 }
 
 /// A term of the loss, with its buffers.

@@ -108,6 +108,15 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         judge("water", &change, water[i], most(&water));
     }
 
+    // A term of the Gaussians' sizes reaches them alone.
+    let mut sized = engine(&[crate::losses::TERMS[6]]);
+    sized.load(state.clone()).unwrap();
+    sized.differentiate(0, &StepPlan { weights: vec![40.0], ..plan.clone() }).unwrap();
+    let sizes = &sized.gradients().0.log_scales;
+    let (most_of_all, expected) = (most(sizes.as_flattened()), use3d_numerics::math::exp(-2.0f32));
+    assert!((most_of_all - expected).abs() < 0.2 * expected, "{most_of_all} of {expected}");
+    assert!(sizes.iter().all(|[x, _, z]| *x == 0.0 && *z == 0.0));
+
     // Terms add up: the same term twice gives twice the loss and twice every gradient.
     let mut two = engine(&[ROW, ROW]);
     two.load(state.clone()).unwrap();

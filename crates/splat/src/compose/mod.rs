@@ -6,6 +6,7 @@
 //! shortens the lists of a frozen view, and `weighted` composes a small one from its kept weights.
 //! `rasterizer` and `linear` are the public interface.
 
+mod depth_network;
 mod groups;
 mod inputs;
 mod lanes;

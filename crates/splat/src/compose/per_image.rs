@@ -18,13 +18,14 @@
 use std::ops::Range;
 
 use fearless_simd::dispatch;
-use use3d_capture::{Image, Map, MediumMaps};
+use use3d_capture::{DepthNetwork, Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp;
 
+use super::depth_network;
 use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, image_planes, layer_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
-use super::strips::{PlanesMut, for_each};
+use super::strips::{PerRow, PlanesMut, for_each};
 use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
 use crate::view::{Options, RenderGradients, Rendered};
@@ -65,10 +66,10 @@ struct Channel {
 
 /// The inputs of both directions.
 #[derive(Clone, Copy)]
-struct Read<'a> {
+pub(super) struct Read<'a> {
     prepared: &'a Prepared,
-    water: &'a MediumMaps,
-    composed: &'a Rendered,
+    pub(super) water: &'a MediumMaps,
+    pub(super) composed: &'a Rendered,
 }
 
 impl Read<'_> {
@@ -76,7 +77,7 @@ impl Read<'_> {
     /// arguments are the pixel row in the view, the pixel row in the strip, the tile's column, and the
     /// range of pixel columns.
     #[inline(always)]
-    fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
+    pub(super) fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
         for r in 0..self.prepared.rows.filled(row) {
             for column in 0..self.prepared.columns.tiles() {
                 let x = column * TILE;
@@ -145,6 +146,15 @@ impl Clear {
         let read = Read { prepared, water, composed: &self.composed };
         let image = PlanesMut::of([out.image.data_mut()], w, h);
         let strips = (image, layer_planes(&mut out.layers, w));
+        if let Some(network) = &water.network {
+            for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
+                Kernels::Plain => depth_network::form_row(read, network, row, strips),
+                Kernels::Lanes(level) => {
+                    dispatch!(level, _simd => depth_network::form_row(read, network, row, strips));
+                }
+            });
+            return;
+        }
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
             Kernels::Plain => form_row(read, row, strips),
             Kernels::Lanes(level) => dispatch!(level, _simd => form_row(read, row, strips)),
@@ -167,6 +177,22 @@ impl Clear {
         self.d_accumulation.resize(w, h);
         let read = Read { prepared, water, composed: &self.composed };
         let images = image_planes(&mut self.d_image, &mut self.d_depth, &mut self.d_accumulation);
+        if let Some(network) = &water.network {
+            let mut sums = vec![DepthNetwork::default(); prepared.rows.tiles()];
+            let mut grads = grads;
+            let strips = (images, (medium_planes(grads.as_deref_mut(), prepared), PerRow(&mut sums)));
+            type Derived<'a> = depth_network::Derived<'a>;
+            for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
+                Kernels::Plain => depth_network::differentiate_row(read, network, row, wanted, strips),
+                Kernels::Lanes(level) => dispatch!(level, _simd => {
+                    depth_network::differentiate_row(read, network, row, wanted, strips);
+                }),
+            });
+            if let Some(grads) = grads {
+                grads.network = Some(Box::new(depth_network::total(&sums)));
+            }
+            return;
+        }
         let strips = (images, medium_planes(grads, prepared));
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
             Kernels::Plain => differentiate_row(read, row, wanted, strips),
