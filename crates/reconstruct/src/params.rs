@@ -7,6 +7,7 @@ use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 use use3d_training::EngineChoice;
 
+use crate::colors::{ColorField, ColorRates};
 use crate::engine::GradientScale;
 
 /// The largest divisor of the image pyramid.
@@ -119,6 +120,8 @@ pub struct LearningRates {
     pub medium_directional: Rate,
     /// Rate of the weights of the `mlp` water.
     pub medium_network: Rate,
+    /// Rates of the colour field.
+    pub color_field: ColorRates,
     /// Rate of the views' log-gains, if `exposure` allows them; a compressed run multiplies it like those
     /// of the water.
     pub exposure: Rate,
@@ -136,6 +139,7 @@ impl Default for LearningRates {
             medium_constant: Rate(2.5e-3, 2.5e-4),
             medium_directional: Rate(1.25e-4, 1.25e-5),
             medium_network: Rate(1e-3, 1.5e-4),
+            color_field: ColorRates::default(),
             exposure: Rate(2e-3, 2e-4),
         }
     }
@@ -280,6 +284,12 @@ pub struct ReconstructParams {
     pub exposure: Exposure,
     /// Strength with which the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
     pub exposure_weight: f64,
+    /// A change of the scene's colours from view to view.
+    pub color_field: ColorField,
+    /// Weight of its regulariser.
+    pub color_weight: f64,
+    /// Share of the run, 0 to 1, for which the field is learnt beside the scene and changes nothing else.
+    pub color_alone: f64,
     /// The source of depth priors.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
@@ -287,6 +297,12 @@ pub struct ReconstructParams {
     /// Weight of the depth-ranking term: near patches of the prior must be near in the scene. It ends with
     /// density control's growth.
     pub ranking_weight: f64,
+    /// Weight of the smoothness of depth except at edges.
+    pub smoothness_weight: f64,
+    /// True if edges near the camera are those of the depth prior; else all are those of the photograph.
+    pub smoothness_by_prior: bool,
+    /// Steps after each ceiling of opacity without the smoothness term.
+    pub smoothness_pause: u64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
     /// True if gradients flow through the ray distances of the water's terms (R2).
@@ -354,9 +370,15 @@ impl Default for ReconstructParams {
             medium_release: 0.3,
             exposure: Exposure::Off,
             exposure_weight: 0.02,
+            color_field: ColorField::Off,
+            color_weight: 1.0,
+            color_alone: 0.0,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             ranking_weight: 0.0,
+            smoothness_weight: 0.0,
+            smoothness_by_prior: false,
+            smoothness_pause: 0,
             complete_at: 0,
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
@@ -427,7 +449,10 @@ impl ReconstructParams {
         }
         not_negative("depth_weight", self.depth_weight)?;
         not_negative("ranking_weight", self.ranking_weight)?;
+        not_negative("smoothness_weight", self.smoothness_weight)?;
         not_negative("exposure_weight", self.exposure_weight)?;
+        not_negative("color_weight", self.color_weight)?;
+        share("color_alone", self.color_alone)?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
@@ -471,6 +496,9 @@ impl ReconstructParams {
             ("medium_constant", r.medium_constant),
             ("medium_directional", r.medium_directional),
             ("medium_network", r.medium_network),
+            ("color_field.grid", r.color_field.grid),
+            ("color_field.network", r.color_field.network),
+            ("color_field.code", r.color_field.code),
             ("exposure", r.exposure),
         ] {
             positive(format!("learning_rates.{name}[0]"), rate.0)?;
@@ -520,7 +548,10 @@ impl ReconstructParams {
 
     /// True if something reads depth priors.
     pub fn uses_priors(&self) -> bool {
-        self.depth_weight > 0.0 || self.ranking_weight > 0.0 || self.complete_at > 0
+        self.depth_weight > 0.0
+            || self.ranking_weight > 0.0
+            || self.complete_at > 0
+            || self.smoothness_by_prior
     }
 
     /// The step from which no Gaussians are added.

@@ -13,6 +13,7 @@ mod depth;
 mod gradients;
 mod photometric;
 mod ranking;
+mod smoothness;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 
@@ -24,8 +25,15 @@ use crate::{ReconstructParams, Target};
 
 /// Every term, in the order in which values are summed and reported: those of the method, then those of the
 /// methods it is compared with.
-pub const TERMS: &[LossTerm] =
-    &[photometric::TERM, depth::TERM, photometric::ONE_LEVEL, photometric::PLAIN, ranking::TERM];
+pub const TERMS: &[LossTerm] = &[
+    photometric::TERM,
+    depth::TERM,
+    photometric::ONE_LEVEL,
+    photometric::PLAIN,
+    ranking::TERM,
+    smoothness::TERM,
+    smoothness::BY_PRIOR,
+];
 
 /// Number of values of the method's own terms. A log has these in every line, and others where they have a
 /// value.

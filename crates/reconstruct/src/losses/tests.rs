@@ -106,6 +106,51 @@ fn golden_rivals() {
 }
 
 #[test]
+fn golden_smoothness() {
+    let part = Part::math("marinestd");
+    for (name, by_prior) in [("smoothness", false), ("adaptive_smoothness", true)] {
+        let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
+        let (depth, photograph) = (map(&case, "in.depth"), image(&case, "in.target"));
+        let (prior, term) = (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior });
+        let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.smoothness")[0]);
+        let value = term.evaluate(&depth, &photograph, Some(&prior), d_output, &mut gradient);
+        case.check_f64("out.smoothness", &[value]);
+        case.check_planes("grad.smoothness.depth", gradient.data());
+        // Differences, where no pair is near the kink.
+        let mut moved = depth.clone();
+        let apart = |a: usize, b: usize| (depth.data()[a] - depth.data()[b]).abs() > 1e-3;
+        let w = depth.width();
+        let smooth = |at: usize| [at - 1, at + 1, at - w, at + w].into_iter().all(|other| apart(at, other));
+        let inside = (w + 1..depth.pixels() - w - 1).step_by(7);
+        for at in inside.filter(|at| depth.data()[*at] > 0.0 && smooth(*at)) {
+            let mut value = |by: f32| {
+                moved.data_mut()[at] = depth.data()[at] + by;
+                term.evaluate(&moved, &photograph, Some(&prior), 1.0, &mut Map::new(1, 1))
+            };
+            let numeric = d_output * (value(1e-4) - value(-1e-4)) / 2e-4;
+            moved.data_mut()[at] = depth.data()[at];
+            let expected = f64::from(gradient.data()[at]);
+            assert!((numeric - expected).abs() < 1e-2 * expected.abs() + 1e-6, "{at}: {numeric} {expected}");
+        }
+    }
+}
+
+#[test]
+fn smoothness_waits_after_a_ceiling_and_has_one_kind_of_edges() {
+    let mut params = ReconstructParams { iterations: 15_000, smoothness_weight: 0.01, ..Default::default() };
+    let of = |params: &ReconstructParams, name: &str, step: u64| {
+        names().zip(super::weights(params, step)).find(|(other, _)| *other == name).unwrap().1
+    };
+    assert_eq!(of(&params, "depth_smoothness", 0), 0.01);
+    assert_eq!(of(&params, "adaptive_smoothness", 0), 0.0);
+    (params.smoothness_by_prior, params.smoothness_pause) = (true, 100);
+    let ceiling = (1000..2000).find(|step| params.density_work(*step, 9).ceiling).unwrap();
+    let at = |step| of(&params, "adaptive_smoothness", step);
+    assert_eq!([0, 1, 100, 101].map(|after| at(ceiling + after)), [0.01, 0.0, 0.0, 0.01]);
+    assert_eq!(of(&params, "depth_smoothness", ceiling), 0.0);
+}
+
+#[test]
 fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
     let named = |params: &ReconstructParams, step: u64| -> Vec<&str> {
         names().zip(super::weights(params, step)).filter(|(_, w)| *w > 0.0).map(|(name, _)| name).collect()
