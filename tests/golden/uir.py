@@ -53,6 +53,21 @@ def water(constants, code_weight, code_bias, depth_weight, hidden_weight, hidden
     return {"color": sigmoid(constants[0]), "network": np.concatenate(numbers)}
 
 
+def appearance(values, constants):
+    """Coefficients as view 1 of 3 shows them; and, without a gradient here, as the mean of all views."""
+    inner, code, bias, outer, last, codes = np.split(values, np.cumsum([96, 512, 32, 192, 6]))
+    c0 = constants.real.dtype.type(0.28209479177387814)
+    c = c0 * constants + constants.real.dtype.type(0.5)
+
+    def shown(z):
+        hidden = sigmoid(c @ inner.reshape(32, 3).T + code.reshape(32, CODE) @ z + bias)
+        out = hidden @ outer.reshape(6, 32).T + last
+        return constants + (c * out[:, :3] + out[:, 3:]) / c0
+
+    codes = codes.reshape(3, CODE)
+    return {"shown": shown(codes[1]), "mean": shown(codes.mean(0))}
+
+
 def spread(x):
     middle = np.sort(x.real)[len(x) // 2]
     return middle, np.abs(x.real - middle).mean()
@@ -92,15 +107,15 @@ def main(folder):
                 "tol_abs": max(10 * float(error), 2e-6 * top, 1e-12),
             }
 
-    def case(name, function, moving, inputs, note, config=None):
+    def case(name, function, moving, inputs, note, config=None, pull="all", pulled=None):
         exact = function(**{k: v.astype(np.float64) for k, v in inputs.items()})
-        outputs = list(exact)
+        outputs, pulls = list(exact), pulled or list(exact)
         shape = next(iter(inputs.values())).shape
         cases[name] = {
             "config": config or {"height": shape[0], "width": shape[1]},
             "grads": moving,
             "note": note,
-            "pulls": {"all": outputs},
+            "pulls": {pull: pulls},
         }
         single = function(**{k: v.astype(np.float32) for k, v in inputs.items()})
         cotangents = {o: np.float32(rng.uniform(0.5, 1.5, np.shape(exact[o]))) for o in outputs}
@@ -110,15 +125,15 @@ def main(folder):
             put(f"{name}/out.{o}", exact[o], np.abs(exact[o] - single[o]).max())
             put(f"{name}/cot.{o}", cotangents[o])
 
-        def pulled(real, key, x):
+        def total(real, key, x):
             found = function(**{k: v.astype(real) for k, v in inputs.items()} | {key: x})
-            return sum((cotangents[o].astype(real) * found[o]).sum() for o in outputs)
+            return sum((cotangents[o].astype(real) * found[o]).sum() for o in pulls)
 
         for key in moving:
             x = inputs[key]
-            g = gradient(lambda v: pulled(np.float64, key, v), x.astype(np.float64), np.complex128)
-            s = gradient(lambda v: pulled(np.float32, key, v), x.astype(np.float32), np.complex64)
-            put(f"{name}/grad.all.{key}", g, np.abs(g - s).max())
+            g = gradient(lambda v: total(np.float64, key, v), x.astype(np.float64), np.complex128)
+            s = gradient(lambda v: total(np.float32, key, v), x.astype(np.float32), np.complex64)
+            put(f"{name}/grad.{pull}.{key}", g, np.abs(g - s).max())
 
     f = np.float32
     h, w = 19, 23
@@ -154,6 +169,11 @@ def main(folder):
             "rotation": rotation,
         },
         "the pose is a centre and the rows of a rotation into the camera", {},
+    )
+    case(
+        "appearance", appearance, ["values", "constants"],
+        {"values": n(0.4, 838 + 3 * CODE), "constants": n(0.8, 25, 3)},
+        "view 1 of 3", {"view": 1, "views": 3}, "shown", ["shown"],
     )
     near = inverse(depth, opacity)
     prior = f(np.clip(0.2 + 0.5 * near + 0.1 * rng.standard_normal((h, w)), 0.01, 3))

@@ -23,13 +23,15 @@ const PRESETS: &[(&str, &str)] = &[
     ("3dgs", include_str!("presets/3dgs.toml")),
     ("water-splatting", include_str!("presets/water-splatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),
+    ("3d-uir", include_str!("presets/3d-uir.toml")),
+    ("marinestd-gs", include_str!("presets/marinestd-gs.toml")),
 ];
 
 /// The methods of the paper's tables that can be trained, in the order of its tables: presets on which
 /// another preset can stand.
-pub const METHODS: &[&str] = &["3dgs", "water-splatting", "plenodium", "3d-use"];
+pub const METHODS: &[&str] = &["3dgs", "water-splatting", "plenodium", "3d-uir", "marinestd-gs", "3d-use"];
 /// Those that cannot be trained yet.
-const MISSING: &[&str] = &["seasplat", "3d-uir", "marinestd-gs"];
+const MISSING: &[&str] = &["seasplat"];
 
 /// Further names of presets.
 const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];

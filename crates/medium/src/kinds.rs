@@ -8,7 +8,7 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, MediumUir, Role};
+use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumUir, Role};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -194,6 +194,8 @@ media! {
     Global(MediumGlobal, PerGaussian) = "global";
     /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's formation).
     Image(MediumGlobal, PerImage) = "image";
+    /// Free numbers of every training view (MarineSTD-GS's water). Other views have those of the nearest one.
+    PerView(MediumPerView, PerGaussian) = "per-view";
     /// A network of the inverse depth and the camera's pose, applied to the finished image (3D-UIR's water).
     Uir(MediumUir, DepthNetwork) = "uir";
 }

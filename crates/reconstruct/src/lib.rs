@@ -9,7 +9,9 @@
 //! of threads, and after any number of interruptions.
 
 mod bounds;
+mod colors;
 mod completion;
+mod densify;
 pub mod density;
 pub mod engine;
 mod error;
@@ -32,12 +34,14 @@ mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
+pub use colors::{ColorField, ColorRole, ColorState, ColorStep};
+pub use densify::{Densify, Strategy};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate, ReconstructParams,
-    Strategy,
+    ColorRates, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate,
+    ReconstructParams,
 };
 pub use peek::scene_in_checkpoint;
 pub use per_view::ViewParameters;

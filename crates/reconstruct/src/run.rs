@@ -20,6 +20,7 @@ use use3d_training::{
 };
 
 use crate::bounds::most_gaussians;
+use crate::colors::ColorState;
 use crate::completion::Holes;
 use crate::density::{self, Draws, Refinement};
 use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, TrainingState};
@@ -122,9 +123,10 @@ pub fn reconstruct(
     let views = load(capture, loader, params, observer)?;
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
+    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let water = match start {
         Some((_, model)) => model,
-        None => MediumModel::start(params.medium, &params.medium_start()).map_err(|wrong| {
+        None => MediumModel::start(params.medium, &params.medium_start(&cameras)).map_err(|wrong| {
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
@@ -136,14 +138,15 @@ pub fn reconstruct(
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
     let gains_used = exposes.then_some(&gains);
     let fingerprint = fingerprint(capture, found, gains_used, params, &views);
-    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
             return Err(ReconstructError::EngineInUse);
         }
     }
-    engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
+    let mut state = TrainingState::new(gaussians, water, if exposes { &gains } else { &[] });
+    state.colors = ColorState::new(params.color_field, names.len(), params.seed);
+    engine.load(state)?;
     let mut run = ReconstructRun {
         params,
         frame: capture.frame,
@@ -271,7 +274,8 @@ impl Steps for ReconstructRun<'_> {
     fn view(&mut self) -> Result<Option<Snapshot>, ReconstructError> {
         let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let state = self.engine.save()?;
-        let (gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        let (mut gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        state.colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: self.frame, medium, medium_degree, enhancement: None };
         Ok(Some(Arc::new(scene)))
     }
@@ -341,10 +345,11 @@ impl ReconstructRun<'_> {
         let state = self.engine.save()?;
         let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
         // A borrowed state belongs to the engine, and an owned one to this run; only the scene is copied.
-        let (gaussians, medium) = match state {
-            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone()),
-            Cow::Owned(state) => (state.gaussians, state.medium),
+        let (mut gaussians, medium, colors) = match state {
+            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone(), &state.colors),
+            Cow::Owned(state) => (state.gaussians, state.medium, &ColorState::default()),
         };
+        colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
         let (log, growth, initial_gaussians) = (self.log, self.growth, self.initial);
         Ok(ReconstructOutcome {
@@ -402,6 +407,7 @@ impl ReconstructRun<'_> {
             network_clip: params.network_clip,
             exposure: (params.exposure == Exposure::PerView)
                 .then_some(ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
+            colors: params.color_step(step),
             gather: (params.densify.enabled
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())

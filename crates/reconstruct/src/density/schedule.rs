@@ -135,7 +135,11 @@ mod tests {
             assert_eq!(refinement(Refinement::Grow), of_each_block(grows), "{views} views");
             let late: Vec<u64> = (100..150).map(|hundreds| 100 * hundreds).collect();
             assert_eq!(refinement(Refinement::Cull), late, "{views} views");
-            assert_eq!(steps(&params, views, |work| work.ceiling.is_some()), of_each_block(&[100]), "{views} views");
+            assert_eq!(
+                steps(&params, views, |work| work.ceiling.is_some()),
+                of_each_block(&[100]),
+                "{views} views"
+            );
         }
         // Blocks 2 to 19 have a ceiling: those of steps 100 and 600 are in the warm-up.
         let ceilings = steps(&params, 18, |work| work.ceiling.is_some());

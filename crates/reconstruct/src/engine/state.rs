@@ -4,11 +4,12 @@
 //! another one.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use use3d_medium::{MediumKind, MediumModel, MediumStart};
+use use3d_medium::{MediumKind, MediumModel, Tensor};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
 use super::GradientScale;
+use crate::colors::ColorState;
 use crate::density::Origin;
 use crate::exposure::Exposures;
 
@@ -136,11 +137,13 @@ pub struct TrainingState {
     pub medium_moments: [Vec<f32>; 2],
     /// The training views' gains; empty if all views have the same exposure.
     pub exposures: Exposures,
+    /// The colour field.
+    pub colors: ColorState,
 }
 
 impl TrainingState {
     /// The current version of this record's format.
-    pub const VERSION: u32 = 4;
+    pub const VERSION: u32 = 5;
 
     /// The state at the start of a run: these Gaussians, this water, and these gains of the training views
     /// (positive; empty if no view has one).
@@ -154,6 +157,7 @@ impl TrainingState {
             medium,
             medium_moments: [vec![0.0; count], vec![0.0; count]],
             exposures: Exposures::new(gains),
+            colors: ColorState::default(),
         }
     }
 
@@ -186,14 +190,16 @@ impl TrainingState {
             return wrong(format!("its colours have degree {}, expected 0 to 3", self.gaussians.sh_degree));
         }
         let statistics = [self.statistics.norms.len(), self.statistics.renders.len()];
-        if statistics[1] != n || ![n, 2 * n].contains(&statistics[0]) || ![0, n].contains(&self.statistics.radii.len()) {
+        let radii = self.statistics.radii.len();
+        if statistics[1] != n || ![n, 2 * n].contains(&statistics[0]) || ![0, n].contains(&radii) {
             return wrong(format!("its statistics have {statistics:?} rows, expected {n}"));
         }
         let (count, moments) = (self.medium.parameter_count(), self.medium_moments.each_ref().map(Vec::len));
         if moments != [count; 2] {
             return wrong(format!("the water's moments have {moments:?} values, expected {count}"));
         }
-        self.exposures.log_gains.check("gains", 3, views)
+        self.exposures.log_gains.check("gains", 3, views)?;
+        self.colors.check(views)
     }
 }
 
@@ -221,43 +227,38 @@ struct GaussianRows {
     sh: Vec<[[f32; 3]; 16]>,
 }
 
-/// The stored form of the water: its kind, the numbers that define its size, and its flat parameters.
+/// The stored form of the water: its kind and its tensors.
 mod water {
     use super::*;
 
     #[derive(Serialize, Deserialize)]
-    struct Flat {
+    struct Stored {
         kind: String,
-        anchors: usize,
         top_k: usize,
-        values: Vec<f32>,
+        tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
     }
 
     pub(super) fn serialize<S: Serializer>(water: &MediumModel, serializer: S) -> Result<S::Ok, S::Error> {
-        let (anchors, top_k) = water.anchors().map_or((0, 0), |a| (a.centers.len(), a.top_k));
-        let kind = water.kind().name().to_string();
-        Flat { kind, anchors, top_k, values: water.flat() }.serialize(serializer)
+        let top_k = water.anchors().map_or(0, |anchors| anchors.top_k);
+        let tensors = water.to_tensors().into_iter();
+        let tensors = tensors.map(|(name, tensor)| (name, tensor.shape, tensor.values)).collect();
+        Stored { kind: water.kind().name().to_string(), top_k, tensors }.serialize(serializer)
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MediumModel, D::Error> {
         use serde::de::Error;
 
-        let Flat { kind, anchors, top_k, values } = Flat::deserialize(deserializer)?;
+        let Stored { kind, top_k, tensors } = Stored::deserialize(deserializer)?;
         let kind = MediumKind::from_name(&kind)
             .ok_or_else(|| D::Error::custom(format!("there is no water of kind `{kind}`")))?;
-        let start = MediumStart { anchors, top_k, seed: 0 };
-        let mut water = MediumModel::start(kind, &start).map_err(D::Error::custom)?;
-        if water.set_flat(&values) {
-            Ok(water)
-        } else {
-            Err(D::Error::custom(format!("{} parameters of the water", values.len())))
-        }
+        let tensors = tensors.into_iter().map(|(name, shape, values)| (name, Tensor { shape, values }));
+        MediumModel::from_tensors(kind, top_k, &tensors.collect()).map_err(D::Error::custom)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use use3d_medium::{MediumGlobal, MediumMlp, MediumRbf};
+    use use3d_medium::{MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumUir};
 
     use super::*;
 
@@ -301,11 +302,15 @@ mod tests {
         let file = use3d_training::CheckpointFile::new(dir.path(), "state");
         let mut rbf = MediumRbf::new(5, 3);
         rbf.log_widths[4] = 0.125;
+        let numbers = vec![[[0.5; 3], [-1.0; 3], [2.0; 3]]; 2];
+        let (centers, axes) = (vec![[1.0, 2.0, 3.0]; 2], vec![[0.0, 0.6, 0.8]; 2]);
         let waters = [
             MediumModel::None,
+            MediumModel::PerView(MediumPerView { centers, axes, numbers }),
             MediumModel::Global(MediumGlobal::default()),
             MediumModel::Rbf(rbf),
             MediumModel::Mlp(MediumMlp::new(9)),
+            MediumModel::Uir(MediumUir::new(9)),
         ];
         for water in waters {
             let state = state(water);
@@ -321,7 +326,7 @@ mod tests {
         let good = state(MediumModel::Global(MediumGlobal::default()));
         type Change = (&'static str, fn(&mut TrainingState));
         let changes: [Change; 6] = [
-            ("version 2, expected 4", |s| s.version = 2),
+            ("version 2, expected 5", |s| s.version = 2),
             ("first moments", |s| s.moments.first.means.truncate(1)),
             ("Gaussians", |s| s.gaussians.sh.truncate(1)),
             ("statistics", |s| s.statistics.norms.push(0.0)),

@@ -102,7 +102,8 @@ impl InverseDepth {
         let Self { inverse, d_inverse, .. } = self;
         let height = inverse.len() / width.max(1);
         let mut total = 0.0;
-        for (step, pairs) in [(1, width.saturating_sub(1) * height), (width, width * height.saturating_sub(1))]
+        for (step, pairs) in
+            [(1, width.saturating_sub(1) * height), (width, width * height.saturating_sub(1))]
         {
             let (mut sum, each) = (0.0, (weight / pairs.max(1) as f64) as f32);
             for i in 0..inverse.len().saturating_sub(step) {

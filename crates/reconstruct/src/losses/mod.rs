@@ -15,6 +15,7 @@ mod gradients;
 mod inverse_depth;
 mod photometric;
 mod ranking;
+mod smoothness;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 use use3d_splat::{Gaussians, Prepared};
@@ -33,6 +34,8 @@ pub const TERMS: &[LossTerm] = &[
     photometric::ONE_LEVEL,
     photometric::PLAIN,
     ranking::TERM,
+    smoothness::TERM,
+    smoothness::BY_PRIOR,
     inverse_depth::TERM,
     flatness::TERM,
 ];

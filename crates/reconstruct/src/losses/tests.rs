@@ -107,7 +107,8 @@ fn golden_rivals() {
 
 /// Gaussians in front of a camera, and the view that all of them reach.
 fn in_view(log_scales: Vec<[f32; 3]>) -> (Camera, Gaussians, Prepared) {
-    let intrinsics = use3d_capture::Intrinsics { width: 23, height: 19, fx: 20.0, fy: 20.0, cx: 11.0, cy: 9.0 };
+    let intrinsics =
+        use3d_capture::Intrinsics { width: 23, height: 19, fx: 20.0, fy: 20.0, cx: 11.0, cy: 9.0 };
     let camera = Camera { intrinsics, pose: use3d_capture::Pose::IDENTITY };
     let mut gaussians = crate::engine::zeros(log_scales.len(), 0);
     gaussians.means.fill([0.0, 0.0, 4.0]);
@@ -163,8 +164,7 @@ fn golden_terms_of_3d_uir() {
     let case = of("flatness");
     let (none, scales) = (Map::new(23, 19), case.rows::<3>("in.scales"));
     let weight = case.f64("cot.flatness")[0];
-    let (values, mut gradients) =
-        evaluated(&flatness::TERM, (&none, &none, None), scales.clone(), &[weight]);
+    let (values, mut gradients) = evaluated(&flatness::TERM, (&none, &none, None), scales.clone(), &[weight]);
     case.check_f64("out.flatness", &[values[0].unwrap()]);
     case.check("grad.all.scales", gradients.log_scales(scales.len()).as_flattened());
 }
@@ -201,11 +201,60 @@ fn inverse_depth_needs_pixels_and_a_prior_that_varies_and_its_gradient_agrees_wi
         }
     }
     for prior in [Map::filled(23, 19, 0.5), Map::filled(23, 19, f32::NAN), Map::new(23, 19)] {
-        let (values, gradients) =
-            evaluated(&inverse_depth::TERM, (&depth, &accumulation, Some(&prior)), vec![[-2.0; 3]], &[1.0, 0.0]);
+        let (values, gradients) = evaluated(
+            &inverse_depth::TERM,
+            (&depth, &accumulation, Some(&prior)),
+            vec![[-2.0; 3]],
+            &[1.0, 0.0],
+        );
         assert_eq!(values, [Some(0.0), None]);
         assert!(gradients.depth.get().unwrap().data().iter().all(|g| *g == 0.0));
     }
+}
+
+#[test]
+fn golden_smoothness() {
+    let part = Part::math("marinestd");
+    for (name, by_prior) in [("smoothness", false), ("adaptive_smoothness", true)] {
+        let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
+        let (depth, photograph) = (map(&case, "in.depth"), image(&case, "in.target"));
+        let (prior, term) = (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior });
+        let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.smoothness")[0]);
+        let value = term.evaluate(&depth, &photograph, Some(&prior), d_output, &mut gradient);
+        case.check_f64("out.smoothness", &[value]);
+        case.check_planes("grad.smoothness.depth", gradient.data());
+        // Differences, where no pair is near the kink.
+        let mut moved = depth.clone();
+        let apart = |a: usize, b: usize| (depth.data()[a] - depth.data()[b]).abs() > 1e-3;
+        let w = depth.width();
+        let smooth = |at: usize| [at - 1, at + 1, at - w, at + w].into_iter().all(|other| apart(at, other));
+        let inside = (w + 1..depth.pixels() - w - 1).step_by(7);
+        for at in inside.filter(|at| depth.data()[*at] > 0.0 && smooth(*at)) {
+            let mut value = |by: f32| {
+                moved.data_mut()[at] = depth.data()[at] + by;
+                term.evaluate(&moved, &photograph, Some(&prior), 1.0, &mut Map::new(1, 1))
+            };
+            let numeric = d_output * (value(1e-4) - value(-1e-4)) / 2e-4;
+            moved.data_mut()[at] = depth.data()[at];
+            let expected = f64::from(gradient.data()[at]);
+            assert!((numeric - expected).abs() < 1e-2 * expected.abs() + 1e-6, "{at}: {numeric} {expected}");
+        }
+    }
+}
+
+#[test]
+fn smoothness_waits_after_a_ceiling_and_has_one_kind_of_edges() {
+    let mut params = ReconstructParams { iterations: 15_000, smoothness_weight: 0.01, ..Default::default() };
+    let of = |params: &ReconstructParams, name: &str, step: u64| {
+        names().zip(super::weights(params, step)).find(|(other, _)| *other == name).unwrap().1
+    };
+    assert_eq!(of(&params, "depth_smoothness", 0), 0.01);
+    assert_eq!(of(&params, "adaptive_smoothness", 0), 0.0);
+    (params.smoothness_by_prior, params.smoothness_pause) = (true, 100);
+    let ceiling = (1000..2000).find(|step| params.density_work(*step, 9).ceiling.is_some()).unwrap();
+    let at = |step| of(&params, "adaptive_smoothness", step);
+    assert_eq!([0, 1, 100, 101].map(|after| at(ceiling + after)), [0.01, 0.0, 0.0, 0.01]);
+    assert_eq!(of(&params, "depth_smoothness", ceiling), 0.0);
 }
 
 #[test]
@@ -218,7 +267,10 @@ fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
     assert_eq!(named(&params, params.densify_end()), ["reg_l1", "reg_ms_ssim", "depth_loss"]);
     (params.depth_prior, params.photometric) = (DepthPrior::Off, Photometric::RegSsim);
     assert_eq!(named(&params, 0), ["relative_l1", "relative_ssim"]);
-    params.photometric = Photometric::Ssim;
+    params.plain_until = 0.1;
+    assert_eq!(named(&params, params.course() / 10 - 1), ["plain_l1", "plain_ssim"]);
+    assert_eq!(named(&params, params.course() / 10), ["relative_l1", "relative_ssim"]);
+    (params.photometric, params.plain_until) = (Photometric::Ssim, 0.0);
     assert_eq!(named(&params, 0), ["plain_l1", "plain_ssim"]);
 }
 

@@ -67,6 +67,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         depth_gradient: true,
         network_clip: 0.0,
         exposure: None,
+        colors: None,
         gather: None,
     };
     let engine = |rows: &[LossTerm]| {
@@ -109,7 +110,8 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
     }
 
     // A term of the Gaussians' sizes reaches them alone.
-    let mut sized = engine(&[crate::losses::TERMS[6]]);
+    let flatness = crate::losses::TERMS.iter().find(|row| row.values[0].name == "flatness").unwrap();
+    let mut sized = engine(&[*flatness]);
     sized.load(state.clone()).unwrap();
     sized.differentiate(0, &StepPlan { weights: vec![40.0], ..plan.clone() }).unwrap();
     let sizes = &sized.gradients().0.log_scales;

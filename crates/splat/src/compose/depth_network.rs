@@ -199,9 +199,7 @@ pub(super) fn differentiate_row(
             put(d_images.row(c, r, columns.clone()), &shown);
             // Lanes beyond the row's end repeat its last pixel, which counts once.
             let g = each(|l| if l < n { share * d_pixel[l] } else { 0.0 });
-            let d_raw = each(|l| {
-                g[l] * light[l] * (a[l] * (1.0 - a[l])) * (inner[l] * (1.0 - inner[l]))
-            });
+            let d_raw = each(|l| g[l] * light[l] * (a[l] * (1.0 - a[l])) * (inner[l] * (1.0 - inner[l])));
             sums.offsets[c] = each(|l| sums.offsets[c][l] + d_raw[l]);
             for (j, h) in hidden.iter().enumerate() {
                 add(&mut sums.outputs[j][c], h, &d_raw);

@@ -7,7 +7,9 @@ use use3d_splat::{
     view_colors,
 };
 
-use crate::support::{prepared, random_camera, random_depth_network, random_gaussians, random_image, random_map, random_medium};
+use crate::support::{
+    prepared, random_camera, random_depth_network, random_gaussians, random_image, random_map, random_medium,
+};
 
 struct Scene {
     camera: use3d_capture::Camera,
@@ -159,8 +161,7 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
     let slopes: Vec<f32> = maps.network.iter().flat_map(|network| network.values().copied()).collect();
     for (number, run) in [0..3, 3..6, 6..9, 9..41, 41..73, 73..169, 169..172].into_iter().enumerate() {
         let Some(slopes) = slopes.get(run.clone()) else { break };
-        let direction: Vec<f32> =
-            run.clone().map(|i| stream.normal(8_000_000 + i as u64) as f32).collect();
+        let direction: Vec<f32> = run.clone().map(|i| stream.normal(8_000_000 + i as u64) as f32).collect();
         let mut at = |step: f32| {
             let mut moved = medium.clone();
             let values = moved.network.as_mut().unwrap().values_mut().skip(run.start);

@@ -1,7 +1,7 @@
 //! Helpers that several tests share: engines, scenes, cases.
 
 use glam::DVec3;
-use use3d_capture::{DepthNetwork, Camera, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
+use use3d_capture::{Camera, DepthNetwork, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
 use use3d_golden::{Case, CaseGaussians};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
