@@ -8,7 +8,7 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, Role};
+use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, MediumSeasplat, Role};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -194,6 +194,9 @@ media! {
     /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's and 3D-UIR's
     /// formation).
     Image(MediumGlobal, PerImage) = "image";
+    /// Nine numbers for the whole scene, applied to the finished image at distances that are normalised in
+    /// each view (SeaSplat's water).
+    Seasplat(MediumSeasplat, Normalised) = "seasplat";
 }
 
 impl MediumKind {

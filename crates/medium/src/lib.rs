@@ -6,7 +6,8 @@
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
 //! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
-//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat and 3D-UIR.
+//! further row applies the water of [`MediumGlobal`] to the finished image, and [`MediumSeasplat`] is the
+//! water of SeaSplat itself.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
@@ -18,6 +19,7 @@ mod kinds;
 mod medium;
 mod mlp;
 mod rbf;
+mod seasplat;
 mod tensors;
 
 pub use directional::Coefficients;
@@ -26,6 +28,7 @@ pub use kinds::{MediumKind, MediumModel};
 pub use medium::{Anchors, Harmonics, MediumStart};
 pub use mlp::MediumMlp;
 pub use rbf::MediumRbf;
+pub use seasplat::MediumSeasplat;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
 
 /// The role of a parameter, by which an optimiser chooses its learning rate.

@@ -10,6 +10,7 @@ mod groups;
 mod inputs;
 mod lanes;
 mod linear;
+mod normalised;
 mod outputs;
 mod pairs;
 mod per_image;
@@ -23,5 +24,6 @@ mod tile;
 mod trim;
 mod weighted;
 
+pub use normalised::DepthRange;
 pub use pairs::Pairs;
 pub use rasterizer::Rasterizer;

@@ -345,7 +345,7 @@ fn check_size(prepared: &Prepared, what: &str, width: usize, height: usize) {
 
 /// The water, if it is applied to the composed image.
 fn over_the_image(medium: Option<&MediumMaps>) -> Option<&MediumMaps> {
-    medium.filter(|water| water.formation == Formation::PerImage)
+    medium.filter(|water| water.formation != Formation::PerGaussian)
 }
 
 fn check_medium(prepared: &Prepared, medium: Option<&MediumMaps>) {

@@ -143,7 +143,14 @@ fn at_one_depth_both_formations_agree() {
 
 #[test]
 fn fused_engines_give_the_same_bits() {
-    let view = view(5, false);
+    for formation in [Formation::PerImage, Formation::Normalised] {
+        let mut view = view(5, false);
+        view.water.formation = formation;
+        fused_engines_agree(&view);
+    }
+}
+
+fn fused_engines_agree(view: &View) {
     let (image, clear) = (random_image(SIZE.0, SIZE.1, 1), random_image(SIZE.0, SIZE.1, 2));
     let (depth, accumulation) = (random_map(SIZE.0, SIZE.1, 3), random_map(SIZE.0, SIZE.1, 4));
     let d_rendered = RenderGradients {
@@ -153,8 +160,8 @@ fn fused_engines_give_the_same_bits() {
         clear: Some(&clear),
     };
     let mut found = fused_engines().into_iter().map(|(name, mut rasterizer)| {
-        let drawn = draw(&mut rasterizer, &view, Some(&view.water));
-        (name, drawn, gradients(&mut rasterizer, &view, &view.water, &d_rendered))
+        let drawn = draw(&mut rasterizer, view, Some(&view.water));
+        (name, drawn, gradients(&mut rasterizer, view, &view.water, &d_rendered))
     });
     let (_, first, differentiated) = found.next().unwrap();
     for (name, drawn, derived) in found {
