@@ -8,6 +8,7 @@ use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within
 use use3d_training::EngineChoice;
 
 use crate::engine::GradientScale;
+use crate::{Priors, Turns};
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
@@ -289,6 +290,10 @@ pub struct ReconstructParams {
     pub ranking_weight: f64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
+    /// Weights of priors on water, clear colours and background.
+    pub priors: Priors,
+    /// Turns in which the water or the colours move alone.
+    pub turns: Turns,
     /// True if gradients flow through the ray distances of the water's terms (R2).
     pub depth_gradient: bool,
     /// The comparison of a rendered view with its photograph.
@@ -358,6 +363,8 @@ impl Default for ReconstructParams {
             depth_weight: 0.1,
             ranking_weight: 0.0,
             complete_at: 0,
+            priors: Priors::default(),
+            turns: Turns::default(),
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
             structure_weight: 0.2,
@@ -428,6 +435,8 @@ impl ReconstructParams {
         not_negative("depth_weight", self.depth_weight)?;
         not_negative("ranking_weight", self.ranking_weight)?;
         not_negative("exposure_weight", self.exposure_weight)?;
+        self.priors.validate()?;
+        self.turns.validate()?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);

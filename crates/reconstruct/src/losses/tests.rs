@@ -1,6 +1,6 @@
 //! Compares the losses with goldens and finite differences.
 
-use use3d_capture::{Image, Map};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, Map, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_metrics::ms_ssim::level_weights;
 use use3d_metrics::{decibels, mask_of, psnr};
@@ -8,7 +8,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::*;
-use crate::{DepthPrior, Photometric};
+use crate::{DepthPrior, Photometric, Priors, Target, Turns};
 
 fn image(case: &Case<'_>, name: &str) -> Image {
     let (w, h, data) = case.planes(name);
@@ -103,6 +103,99 @@ fn golden_rivals() {
     let value = ranking::DepthRanking.evaluate(&depth, &prior, d_output, &mut gradient);
     case.check_f64("out.depth_ranking", &[value]);
     case.check_planes("grad.depth_ranking.depth", gradient.data());
+}
+
+/// Evaluates a row of the table on a case of SeaSplat's priors, with weights of one value at a time.
+fn golden_prior(case: &Case<'_>, row: LossTerm, outputs: &[&str]) {
+    let (width, height) = (case.count("width"), case.count("height"));
+    let of = |name: &str| if case.has(name) { image(case, name) } else { Image::new(width, height) };
+    let map_of = |name: &str| if case.has(name) { map(case, name) } else { Map::new(width, height) };
+    let laid_over = case.config()["laid_over"].as_bool().unwrap_or(true);
+    let formation = if laid_over { Formation::Normalised } else { Formation::PerGaussian };
+    let water = MediumMaps {
+        color: of("in.c_m"),
+        backscatter: of("in.beta_bs"),
+        attenuation: Image::new(width, height),
+        formation,
+    };
+    let (shown, clear) = (of("in.image"), of("in.clear"));
+    let (depth, accumulation) = (map_of("in.depth"), map_of("in.accumulation"));
+    let target = Target { image: of("in.target"), ..Target::default() };
+    let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 5.0, cy: 4.0 };
+    let pose = Pose { rotation: glam::DMat3::IDENTITY, translation: glam::DVec3::ZERO };
+    let seen = Observation {
+        step: 0,
+        camera: &Camera { intrinsics, pose },
+        image: &shown,
+        clear: Some(&clear),
+        depth: &depth,
+        accumulation: &accumulation,
+        water: Some(&water),
+        target: &target,
+    };
+    let mut losses = Losses::new(&[row]);
+    for (i, output) in outputs.iter().enumerate() {
+        let d_output = case.f64(&format!("cot.{output}"))[0];
+        let mut weights = vec![0.0; outputs.len()];
+        weights[i] = d_output;
+        let loss = losses.evaluate(&seen, &weights);
+        case.check_f64(&format!("out.{output}"), &[loss.values[i].unwrap()]);
+        let gradients = &losses.gradients;
+        for name in case.grads() {
+            let found = match name.as_str() {
+                "image" => gradients.image.get().unwrap().data(),
+                "clear" => gradients.clear.get().unwrap().data(),
+                "c_m" => gradients.water_color.get().unwrap().data(),
+                "beta_bs" => gradients.backscatter.get().unwrap().data(),
+                _ => gradients.accumulation.get().unwrap().data(),
+            };
+            case.check_planes(&format!("grad.{output}.{name}"), found);
+        }
+        // Nothing but these has a gradient.
+        assert!(gradients.depth.get().is_none() && gradients.attenuation.get().is_none());
+        assert_eq!(gradients.image.get().is_some(), case.grads() == ["image"]);
+    }
+}
+
+#[test]
+fn golden_seasplat() {
+    let part = Part::math("seasplat");
+    let mut seen = 0;
+    for case in part.cases() {
+        let (row, outputs): (LossTerm, &[&str]) = match case.name() {
+            "far_l1" => (far::TERM, &["far_l1"]),
+            "backscatter" => (backscatter::TERM, &["backscatter"]),
+            "clear_colors" => (clear_colors::TERM, &["saturation", "grey_world"]),
+            "background" | "background_before" => (background::TERM, &["background"]),
+            _ => continue,
+        };
+        golden_prior(&case, row, outputs);
+        seen += 1;
+    }
+    assert_eq!(seen, 5);
+}
+
+#[test]
+fn priors_on_water_begin_with_it_and_the_clear_image_is_made_for_those_that_read_it() {
+    let priors = Priors { far: 1.0, backscatter: 1.0, saturation: 2.0, grey_world: 0.1, background: 0.01 };
+    let turns = Turns { from: 0.5, water: 10, ..Turns::default() };
+    let params = ReconstructParams { iterations: 100, priors, turns, ..ReconstructParams::default() };
+    let named = |params: &ReconstructParams, step| -> Vec<(&str, f64)> {
+        names().zip(super::weights(params, step)).skip(OWN_VALUES).filter(|(_, w)| *w > 0.0).collect()
+    };
+    assert_eq!(named(&params, 49), [("far_l1", 1.0), ("background", 0.01)]);
+    let all = [
+        ("far_l1", 1.0),
+        ("backscatter", 1.0),
+        ("saturation", 2.0),
+        ("grey_world", 0.1),
+        ("background", 0.01),
+    ];
+    assert_eq!(named(&params, 50), all);
+    let losses = Losses::new(TERMS);
+    let read = |params: &ReconstructParams, step| losses.read_clear(&super::weights(params, step));
+    assert_eq!((read(&params, 49), read(&params, 50)), (false, true));
+    assert!(!read(&ReconstructParams::default(), 50));
 }
 
 #[test]

@@ -14,7 +14,8 @@ use crate::support::{
 };
 
 const SIZE: (usize, usize) = (53, 38);
-const LAYERS: Options = Options { depth_gradient: true, layers: true, signed_screen: false };
+const LAYERS: Options =
+    Options { depth_gradient: true, layers: true, signed_screen: false, water_only: false };
 
 struct View {
     camera: Camera,
@@ -185,7 +186,13 @@ fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     view.prepared.set_colors(&colors);
     let (mut grads, mut maps) = (vec![[0.0f32; 3]; n], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&view.prepared, Some(&view.water), &d_image, &mut grads, &mut maps);
-    // The gradient of the water equals that of the full derivative.
+    // The gradient of the water equals that of the full derivative, also where nothing else is asked for.
+    let (mut kept, mut alone) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
+    let of = ViewOf { gaussians: &view.gaussians, camera: &view.camera };
+    let into = Gradients { gaussians: &mut kept, medium: Some(&mut alone) };
+    let water_only = Options { water_only: true, ..LAYERS };
+    rasterizer.backward(&view.prepared, of, Some(&view.water), &water_only, &only(&d_image), into);
+    assert_eq!((&alone, kept), (&maps, GaussianGradients::default()));
     assert_eq!(maps, gradients(&mut Rasterizer::new(), &view, &view.water, &only(&d_image)).1);
     let lit = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &d_image);
     view.prepared.set_colors(&vec![[0.0; 3]; n]);

@@ -74,6 +74,11 @@ pub enum CardError {
     /// Cards do not gather what these density rules read.
     #[error("expected cpu for the density rules `{0}`, which graphics cards do not have")]
     Rules(&'static str),
+    /// Cards move all parameters in every step.
+    #[error(
+        "expected cpu for turns in which the water moves alone (`turns.water`), which graphics cards do not have"
+    )]
+    Turns,
     /// The card of this name holds at most the first number of Gaussians, and the second was requested.
     #[error(
         "`{0}` has room for {1} Gaussians in one binding, and max_gaussians is {2}; expected a smaller max_gaussians, or cpu"
@@ -167,6 +172,9 @@ impl ChoosesEngine for ReconstructParams {
         }
         if self.densify.strategy == Strategy::Signed {
             return Some(CardError::Rules("3dgs"));
+        }
+        if self.turns.water > 0 {
+            return Some(CardError::Turns);
         }
         cards::loss_without_kernel(self).map(CardError::Loss)
     }
