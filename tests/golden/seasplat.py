@@ -57,6 +57,18 @@ def background(image, accumulation, c_m, laid_over):
     return {"background": accumulation[near].mean()}
 
 
+def smoothness(depth, target, accumulation):
+    """Steps of normalised distance between pixels that are hit, less where the photograph has edges."""
+    z, light, hit = normalised(depth, accumulation), target.mean(axis=2), accumulation.real > 0
+    total = 0
+    for axis in (0, 1):
+        both = np.diff(hit.astype(int), axis=axis) == 0
+        both &= np.take(hit, range(1, hit.shape[axis]), axis)
+        steps = np.where(both, absolute(np.diff(z, axis=axis)), 0)
+        total = total + (steps * np.exp(-np.abs(np.diff(light, axis=axis)))).mean()
+    return {"smoothness": total}
+
+
 def water(numbers, lit):
     shape = lit.shape
     exponent = np.where(numbers[1:].real > 0, numbers[1:], 0)
@@ -141,6 +153,7 @@ def main(folder):
         "both sides of zero, and both parts of the smooth error",
     )
     case("clear_colors", clear_colors, ["clear"], {"clear": light}, "colours below 0 and above 0.7")
+    case("smoothness", smoothness, ["depth"], {"target": target} | view, "pixels that are not hit are in no pair")
     near = f32(c_m + 0.3 * rng.standard_normal(shape))
     for name, laid_over in [("background", True), ("background_before", False)]:
         case(

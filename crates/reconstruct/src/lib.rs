@@ -9,6 +9,7 @@
 //! of threads, and after any number of interruptions.
 
 mod bounds;
+mod colors;
 mod completion;
 pub mod density;
 pub mod engine;
@@ -34,6 +35,7 @@ mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
+pub use colors::{ColorField, ColorRates, ColorRole, ColorState, ColorStep};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};

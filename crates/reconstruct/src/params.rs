@@ -7,6 +7,7 @@ use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 use use3d_training::EngineChoice;
 
+use crate::colors::{ColorField, ColorRates};
 use crate::engine::GradientScale;
 use crate::{Priors, Turns};
 
@@ -120,6 +121,8 @@ pub struct LearningRates {
     pub medium_directional: Rate,
     /// Rate of the weights of the `mlp` water.
     pub medium_network: Rate,
+    /// Rates of the colour field.
+    pub color_field: ColorRates,
     /// Rate of the views' log-gains, if `exposure` allows them; a compressed run multiplies it like those
     /// of the water.
     pub exposure: Rate,
@@ -137,6 +140,7 @@ impl Default for LearningRates {
             medium_constant: Rate(2.5e-3, 2.5e-4),
             medium_directional: Rate(1.25e-4, 1.25e-5),
             medium_network: Rate(1e-3, 1.5e-4),
+            color_field: ColorRates::default(),
             exposure: Rate(2e-3, 2e-4),
         }
     }
@@ -281,6 +285,12 @@ pub struct ReconstructParams {
     pub exposure: Exposure,
     /// Strength with which the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
     pub exposure_weight: f64,
+    /// A change of the scene's colours from view to view.
+    pub color_field: ColorField,
+    /// Weight of its regulariser.
+    pub color_weight: f64,
+    /// Share of the run, 0 to 1, for which the field is learnt beside the scene and changes nothing else.
+    pub color_alone: f64,
     /// The source of depth priors.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
@@ -288,6 +298,14 @@ pub struct ReconstructParams {
     /// Weight of the depth-ranking term: near patches of the prior must be near in the scene. It ends with
     /// density control's growth.
     pub ranking_weight: f64,
+    /// Weight of the smoothness of depth except at edges.
+    pub smoothness_weight: f64,
+    /// True if edges near the camera are those of the depth prior; else all are those of the photograph.
+    pub smoothness_by_prior: bool,
+    /// True if depths are normalised to 0 to 1 in each view for it.
+    pub smoothness_normalised: bool,
+    /// Steps after each ceiling of opacity without the smoothness term.
+    pub smoothness_pause: u64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
     /// Weights of priors on water, clear colours and background.
@@ -359,9 +377,16 @@ impl Default for ReconstructParams {
             medium_release: 0.3,
             exposure: Exposure::Off,
             exposure_weight: 0.02,
+            color_field: ColorField::Off,
+            color_weight: 1.0,
+            color_alone: 0.0,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             ranking_weight: 0.0,
+            smoothness_weight: 0.0,
+            smoothness_by_prior: false,
+            smoothness_normalised: false,
+            smoothness_pause: 0,
             complete_at: 0,
             priors: Priors::default(),
             turns: Turns::default(),
@@ -434,7 +459,14 @@ impl ReconstructParams {
         }
         not_negative("depth_weight", self.depth_weight)?;
         not_negative("ranking_weight", self.ranking_weight)?;
+        not_negative("smoothness_weight", self.smoothness_weight)?;
+        if self.smoothness_by_prior && self.smoothness_normalised {
+            let expected = "false with smoothness_by_prior, whose depths are not normalised";
+            return Err(OutOfRange::new("smoothness_normalised", "true", expected));
+        }
         not_negative("exposure_weight", self.exposure_weight)?;
+        not_negative("color_weight", self.color_weight)?;
+        share("color_alone", self.color_alone)?;
         self.priors.validate()?;
         self.turns.validate()?;
         positive("sh_every", self.sh_every)?;
@@ -480,6 +512,9 @@ impl ReconstructParams {
             ("medium_constant", r.medium_constant),
             ("medium_directional", r.medium_directional),
             ("medium_network", r.medium_network),
+            ("color_field.grid", r.color_field.grid),
+            ("color_field.network", r.color_field.network),
+            ("color_field.code", r.color_field.code),
             ("exposure", r.exposure),
         ] {
             positive(format!("learning_rates.{name}[0]"), rate.0)?;
@@ -529,7 +564,10 @@ impl ReconstructParams {
 
     /// True if something reads depth priors.
     pub fn uses_priors(&self) -> bool {
-        self.depth_weight > 0.0 || self.ranking_weight > 0.0 || self.complete_at > 0
+        self.depth_weight > 0.0
+            || self.ranking_weight > 0.0
+            || self.complete_at > 0
+            || self.smoothness_by_prior
     }
 
     /// The step from which no Gaussians are added.

@@ -21,14 +21,15 @@ use crate::run::RunState;
 /// The file cannot be read, is damaged, or has another version.
 pub fn scene_in_checkpoint(path: &Path, frame: Frame) -> Result<Option<(u64, Scene)>, CheckpointError> {
     let Some(state) = CheckpointFile::at(path.to_path_buf()).load::<RunState<'_>>()? else { return Ok(None) };
-    let engine = state.engine.into_owned();
+    let mut engine = state.engine.into_owned();
     engine
-        .check(engine.exposures.log_gains.views())
+        .check(engine.exposures.log_gains.views().max(engine.colors.views))
         .map_err(|error| CheckpointError::Damaged { path: path.to_path_buf(), reason: error.to_string() })?;
     let logged = state.log.iter().rev().find_map(|entry| match entry {
         LogEntry::Steps { degree, .. } => Some(*degree),
         _ => None,
     });
+    engine.colors.settle(&mut engine.gaussians);
     let moved = engine.medium_moments[1].iter().all(|moment| *moment > 0.0);
     let bands = engine.medium.is_none() || engine.medium.harmonics().is_some() || moved;
     let medium_degree = if bands { 3 } else { logged.unwrap_or(0) };

@@ -20,6 +20,7 @@ use use3d_training::{
 };
 
 use crate::bounds::most_gaussians;
+use crate::colors::ColorState;
 use crate::completion::Holes;
 use crate::density::{self, Draws, Refinement};
 use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState};
@@ -145,7 +146,9 @@ pub fn reconstruct(
             return Err(ReconstructError::EngineInUse);
         }
     }
-    engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
+    let mut state = TrainingState::new(gaussians, water, if exposes { &gains } else { &[] });
+    state.colors = ColorState::new(params.color_field, names.len(), params.seed);
+    engine.load(state)?;
     let mut run = ReconstructRun {
         params,
         frame: capture.frame,
@@ -284,7 +287,8 @@ impl Steps for ReconstructRun<'_> {
     fn view(&mut self) -> Result<Option<Snapshot>, ReconstructError> {
         let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let state = self.engine.save()?;
-        let (gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        let (mut gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        state.colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: self.frame, medium, medium_degree, enhancement: None };
         Ok(Some(Arc::new(scene)))
     }
@@ -355,10 +359,11 @@ impl ReconstructRun<'_> {
         let state = self.engine.save()?;
         let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
         // A borrowed state belongs to the engine, and an owned one to this run; only the scene is copied.
-        let (gaussians, medium) = match state {
-            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone()),
-            Cow::Owned(state) => (state.gaussians, state.medium),
+        let (mut gaussians, medium, colors) = match state {
+            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone(), &state.colors),
+            Cow::Owned(state) => (state.gaussians, state.medium, &ColorState::default()),
         };
+        colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
         let (log, growth, initial_gaussians) = (self.log, self.growth, self.initial);
         Ok(ReconstructOutcome {
@@ -431,6 +436,7 @@ impl ReconstructRun<'_> {
             network_clip: params.network_clip,
             exposure: (params.exposure == Exposure::PerView)
                 .then_some(ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
+            colors: params.color_step(step),
             gather: (params.densify.enabled
                 && ends_step
                 && step >= params.densify.statistics_from.min(params.warm_up())

@@ -1,5 +1,6 @@
 //! Tests of stage 1 as a whole: one golden step, and short runs on a tiny scene.
 
+mod colors;
 mod resume;
 mod terms;
 mod water;
@@ -112,6 +113,7 @@ fn golden_stage1_step() {
             depth_gradient: true,
             network_clip: 0.0,
             exposure: None,
+            colors: None,
             gather: None,
         };
         let loss = engine.differentiate(view, &settings).unwrap();

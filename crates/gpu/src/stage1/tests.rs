@@ -92,6 +92,7 @@ fn plan(step: u64) -> StepPlan {
         weights: weights(),
         depth_gradient: step % 4 != 3,
         network_clip: 0.0,
+        colors: None,
         exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
         gather: (step % 3 != 2).then_some(GradientScale {
             reference_pixels: 1000,

@@ -164,6 +164,7 @@ impl SceneSize {
             weights: losses::weights(&params, step),
             depth_gradient: true,
             network_clip: 0.0,
+            colors: None,
             exposure: None,
             gather: Some(params.densify.gradient_scale()),
         }

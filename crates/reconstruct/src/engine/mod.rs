@@ -36,6 +36,7 @@ pub use cpu::CpuEngine;
 pub(crate) use state::zeros;
 pub use state::{Moments, Statistics, TrainingState};
 
+use crate::colors::ColorStep;
 use crate::density::{Draws, Origin, Survey};
 use crate::exposure::ExposureStep;
 use crate::profile::StepPart;
@@ -111,6 +112,8 @@ pub struct StepPlan {
     pub network_clip: f64,
     /// The settings by which the view's gain is learnt; `None` if every gain is one.
     pub exposure: Option<ExposureStep>,
+    /// The settings by which the colour field is learnt; `None` if views show the scene's own colours.
+    pub colors: Option<ColorStep>,
     /// The scale of screen gradients for the size of the images; `None` if none are gathered.
     pub gather: Option<GradientScale>,
 }

@@ -8,6 +8,7 @@ use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
+use crate::colors::ColorState;
 use crate::density::Origin;
 use crate::exposure::Exposures;
 
@@ -105,11 +106,13 @@ pub struct TrainingState {
     pub medium_moments: [Vec<f32>; 2],
     /// The training views' gains; empty if all views have the same exposure.
     pub exposures: Exposures,
+    /// The colour field.
+    pub colors: ColorState,
 }
 
 impl TrainingState {
     /// The current version of this record's format.
-    pub const VERSION: u32 = 4;
+    pub const VERSION: u32 = 5;
 
     /// The state at the start of a run: these Gaussians, this water, and these gains of the training views
     /// (positive; empty if no view has one).
@@ -123,6 +126,7 @@ impl TrainingState {
             medium,
             medium_moments: [vec![0.0; count], vec![0.0; count]],
             exposures: Exposures::new(gains),
+            colors: ColorState::default(),
         }
     }
 
@@ -162,7 +166,8 @@ impl TrainingState {
         if moments != [count; 2] {
             return wrong(format!("the water's moments have {moments:?} values, expected {count}"));
         }
-        self.exposures.log_gains.check("gains", 3, views)
+        self.exposures.log_gains.check("gains", 3, views)?;
+        self.colors.check(views)
     }
 }
 
@@ -279,7 +284,7 @@ mod tests {
         let good = state(MediumModel::Global(MediumGlobal::default()));
         type Change = (&'static str, fn(&mut TrainingState));
         let changes: [Change; 6] = [
-            ("version 2, expected 4", |s| s.version = 2),
+            ("version 2, expected 5", |s| s.version = 2),
             ("first moments", |s| s.moments.first.means.truncate(1)),
             ("Gaussians", |s| s.gaussians.sh.truncate(1)),
             ("statistics", |s| s.statistics.norms.push(0.0)),

@@ -17,6 +17,7 @@ mod far;
 mod gradients;
 mod photometric;
 mod ranking;
+mod smoothness;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
 
@@ -34,6 +35,9 @@ pub const TERMS: &[LossTerm] = &[
     photometric::ONE_LEVEL,
     photometric::PLAIN,
     ranking::TERM,
+    smoothness::TERM,
+    smoothness::BY_PRIOR,
+    smoothness::NORMALISED,
     far::TERM,
     backscatter::TERM,
     clear_colors::TERM,

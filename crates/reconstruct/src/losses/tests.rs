@@ -145,6 +145,7 @@ fn golden_prior(case: &Case<'_>, row: LossTerm, outputs: &[&str]) {
             let found = match name.as_str() {
                 "image" => gradients.image.get().unwrap().data(),
                 "clear" => gradients.clear.get().unwrap().data(),
+                "depth" => gradients.depth.get().unwrap().data(),
                 "c_m" => gradients.water_color.get().unwrap().data(),
                 "beta_bs" => gradients.backscatter.get().unwrap().data(),
                 _ => gradients.accumulation.get().unwrap().data(),
@@ -152,7 +153,8 @@ fn golden_prior(case: &Case<'_>, row: LossTerm, outputs: &[&str]) {
             case.check_planes(&format!("grad.{output}.{name}"), found);
         }
         // Nothing but these has a gradient.
-        assert!(gradients.depth.get().is_none() && gradients.attenuation.get().is_none());
+        assert!(gradients.attenuation.get().is_none());
+        assert_eq!(gradients.depth.get().is_some(), case.grads() == ["depth"]);
         assert_eq!(gradients.image.get().is_some(), case.grads() == ["image"]);
     }
 }
@@ -164,6 +166,7 @@ fn golden_seasplat() {
     for case in part.cases() {
         let (row, outputs): (LossTerm, &[&str]) = match case.name() {
             "far_l1" => (far::TERM, &["far_l1"]),
+            "smoothness" => (smoothness::NORMALISED, &["smoothness"]),
             "backscatter" => (backscatter::TERM, &["backscatter"]),
             "clear_colors" => (clear_colors::TERM, &["saturation", "grey_world"]),
             "background" | "background_before" => (background::TERM, &["background"]),
@@ -172,7 +175,7 @@ fn golden_seasplat() {
         golden_prior(&case, row, outputs);
         seen += 1;
     }
-    assert_eq!(seen, 5);
+    assert_eq!(seen, 6);
 }
 
 #[test]
@@ -196,6 +199,55 @@ fn priors_on_water_begin_with_it_and_the_clear_image_is_made_for_those_that_read
     let read = |params: &ReconstructParams, step| losses.read_clear(&super::weights(params, step));
     assert_eq!((read(&params, 49), read(&params, 50)), (false, true));
     assert!(!read(&ReconstructParams::default(), 50));
+}
+
+#[test]
+fn golden_smoothness() {
+    let part = Part::math("marinestd");
+    for (name, by_prior) in [("smoothness", false), ("adaptive_smoothness", true)] {
+        let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
+        let (depth, photograph) = (map(&case, "in.depth"), image(&case, "in.target"));
+        let (prior, term) =
+            (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior, normalised: false });
+        let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.smoothness")[0]);
+        let value = term.evaluate(&depth, &photograph, Some(&prior), d_output, &mut gradient);
+        case.check_f64("out.smoothness", &[value]);
+        case.check_planes("grad.smoothness.depth", gradient.data());
+        // Differences, where no pair is near the kink.
+        let mut moved = depth.clone();
+        let apart = |a: usize, b: usize| (depth.data()[a] - depth.data()[b]).abs() > 1e-3;
+        let w = depth.width();
+        let smooth = |at: usize| [at - 1, at + 1, at - w, at + w].into_iter().all(|other| apart(at, other));
+        let inside = (w + 1..depth.pixels() - w - 1).step_by(7);
+        for at in inside.filter(|at| depth.data()[*at] > 0.0 && smooth(*at)) {
+            let mut value = |by: f32| {
+                moved.data_mut()[at] = depth.data()[at] + by;
+                term.evaluate(&moved, &photograph, Some(&prior), 1.0, &mut Map::new(1, 1))
+            };
+            let numeric = d_output * (value(1e-4) - value(-1e-4)) / 2e-4;
+            moved.data_mut()[at] = depth.data()[at];
+            let expected = f64::from(gradient.data()[at]);
+            assert!((numeric - expected).abs() < 1e-2 * expected.abs() + 1e-6, "{at}: {numeric} {expected}");
+        }
+    }
+}
+
+#[test]
+fn smoothness_waits_after_a_ceiling_and_has_one_kind_of_edges() {
+    let mut params = ReconstructParams { iterations: 15_000, smoothness_weight: 0.01, ..Default::default() };
+    let of = |params: &ReconstructParams, name: &str, step: u64| {
+        names().zip(super::weights(params, step)).find(|(other, _)| *other == name).unwrap().1
+    };
+    assert_eq!(of(&params, "depth_smoothness", 0), 0.01);
+    assert_eq!(of(&params, "adaptive_smoothness", 0), 0.0);
+    params.smoothness_normalised = true;
+    assert_eq!((of(&params, "depth_smoothness", 0), of(&params, "normalised_smoothness", 0)), (0.0, 0.01));
+    params.smoothness_normalised = false;
+    (params.smoothness_by_prior, params.smoothness_pause) = (true, 100);
+    let ceiling = (1000..2000).find(|step| params.density_work(*step, 9).ceiling).unwrap();
+    let at = |step| of(&params, "adaptive_smoothness", step);
+    assert_eq!([0, 1, 100, 101].map(|after| at(ceiling + after)), [0.01, 0.0, 0.0, 0.01]);
+    assert_eq!(of(&params, "depth_smoothness", ceiling), 0.0);
 }
 
 #[test]

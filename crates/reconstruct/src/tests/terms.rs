@@ -76,6 +76,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         depth_gradient: true,
         network_clip: 0.0,
         exposure: None,
+        colors: None,
         gather: None,
     };
     let engine = |rows: &[LossTerm]| {

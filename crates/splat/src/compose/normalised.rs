@@ -49,6 +49,22 @@ impl DepthRange {
         if accumulation > 0.0 && self.extent > 0.0 { (depth - self.least) / self.extent } else { 1.0 }
     }
 
+    /// Divides a loss that is linear in the differences of depths by `z_max − z_min`, and completes its
+    /// gradient, which has the factor `weight`. Both are 0 if the view has one depth.
+    pub fn per_extent(&self, value: f64, weight: f64, gradient: &mut Map) -> f64 {
+        if self.extent <= 0.0 {
+            gradient.data_mut().fill(0.0);
+            return 0.0;
+        }
+        let extent = f64::from(self.extent);
+        let value = value / extent;
+        gradient.data_mut().iter_mut().for_each(|g| *g /= self.extent);
+        let [near, far] = self.ends;
+        gradient.data_mut()[near] += (weight * value / extent) as f32;
+        gradient.data_mut()[far] -= (weight * value / extent) as f32;
+        value
+    }
+
     /// Turns the gradient with respect to `ẑ` into the gradient with respect to expected depth.
     pub fn backward(&self, depth: &Map, accumulation: &Map, gradient: &mut Map) {
         if self.extent <= 0.0 {
