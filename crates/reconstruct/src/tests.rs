@@ -2,6 +2,7 @@
 
 mod colors;
 mod resume;
+mod seasplat;
 mod terms;
 mod water;
 

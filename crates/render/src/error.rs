@@ -17,7 +17,7 @@ pub enum RenderError {
     NoCameras,
     /// Water whose distances are normalised in each view cannot be baked.
     #[error(
-        "the water `{0}` belongs to finished images and cannot be written into colours; use the mode `clear`"
+        "the water `{0}` belongs to finished images and cannot be written into colours; choose the look `clear`"
     )]
     NoPlace(&'static str),
     /// The device of a composer failed. [`crate::Processor`] never returns this.

@@ -10,9 +10,8 @@
 //! term moves the water alone. A mask multiplies `r`.
 
 use rayon::prelude::*;
-use use3d_capture::MediumMaps;
+use use3d_capture::{Image, MediumMaps};
 use use3d_numerics::math;
-use use3d_numerics::sums::sum;
 use use3d_splat::DepthRange;
 
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
@@ -20,7 +19,7 @@ use crate::ReconstructParams;
 
 /// The row of the term.
 pub(super) const TERM: LossTerm =
-    LossTerm { values: &[LossValue { name: "backscatter", weight }], term: || Box::new(DarkRest) };
+    LossTerm { values: &[LossValue { name: "backscatter", weight }], term: || Box::<DarkRest>::default() };
 
 fn weight(params: &ReconstructParams, step: u64) -> f64 {
     if step < params.water_begins() { 0.0 } else { params.priors.backscatter }
@@ -31,8 +30,15 @@ const BELOW: f64 = 1000.0;
 /// The value up to which their error is quadratic.
 const SMOOTH: f64 = 0.2;
 
-/// The term.
-struct DarkRest;
+/// Elements per task.
+const BLOCK: usize = 1 << 13;
+
+/// The term, with the gradients of its last view.
+#[derive(Default)]
+struct DarkRest {
+    color: Image,
+    backscatter: Image,
+}
 
 /// The error of what is left of a pixel's channel, and its derivative.
 fn error(rest: f64) -> (f64, f64) {
@@ -44,44 +50,41 @@ fn error(rest: f64) -> (f64, f64) {
 }
 
 impl DarkRest {
-    fn evaluate(
-        seen: &Observation<'_>,
-        water: &MediumMaps,
-        weight: f64,
-        gradients: &mut ViewGradients,
-    ) -> f64 {
-        let (width, height) = (seen.depth.width(), seen.depth.height());
-        let pixels = seen.depth.pixels().max(1);
+    /// Returns the loss, and computes `weight` times its gradients with respect to colour and coefficient of
+    /// the water.
+    fn evaluate(&mut self, seen: &Observation<'_>, water: &MediumMaps, weight: f64) -> f64 {
+        let (width, height, pixels) = (seen.depth.width(), seen.depth.height(), seen.depth.pixels());
+        self.color.resize(width, height);
+        self.backscatter.resize(width, height);
         let range = DepthRange::of(seen.depth, seen.accumulation);
+        let (depth, accumulation) = (seen.depth.data(), seen.accumulation.data());
         let (color, backscatter) = (water.color.data(), water.backscatter.data());
         let photograph = seen.target.image.data();
         let count = photograph.len().max(1) as f64;
         let mask = seen.target.mask.as_ref().map(|mask| mask.data());
-        // Distance, e^{−β ẑ}, and the error of the rest with its derivative.
-        let at = |i: usize| {
-            let p = i % pixels;
-            let z = f64::from(range.at(seen.depth.data()[p], seen.accumulation.data()[p]));
-            let kept = math::exp(-f64::from(backscatter[i]) * z);
-            let counted = mask.map_or(1.0, |mask| f64::from(mask[p]));
-            let (value, slope) =
-                error(counted * (f64::from(photograph[i]) - f64::from(color[i]) * (1.0 - kept)));
-            (z, kept, value, weight / count * counted * slope)
-        };
-        gradients.water_color.add(|g| {
-            g.resize(width, height);
-            g.data_mut().par_iter_mut().enumerate().for_each(|(i, g)| {
-                let (_, kept, _, slope) = at(i);
-                *g = (-slope * (1.0 - kept)) as f32;
-            });
-        });
-        gradients.backscatter.add(|g| {
-            g.resize(width, height);
-            g.data_mut().par_iter_mut().enumerate().for_each(|(i, g)| {
-                let (z, kept, _, slope) = at(i);
-                *g = (-slope * f64::from(color[i]) * z * kept) as f32;
-            });
-        });
-        sum(photograph.len(), |i| at(i).2) / count
+        let colors = self.color.data_mut().par_chunks_mut(BLOCK);
+        let sums: Vec<f64> = colors
+            .zip(self.backscatter.data_mut().par_chunks_mut(BLOCK))
+            .enumerate()
+            .map(|(block, (d_color, d_backscatter))| {
+                let mut sum = 0.0;
+                for (k, (d_color, d_backscatter)) in d_color.iter_mut().zip(d_backscatter).enumerate() {
+                    let i = block * BLOCK + k;
+                    let p = i % pixels;
+                    let z = f64::from(range.at(depth[p], accumulation[p]));
+                    let kept = math::exp(-f64::from(backscatter[i]) * z);
+                    let counted = mask.map_or(1.0, |mask| f64::from(mask[p]));
+                    let far = f64::from(color[i]);
+                    let (value, slope) = error(counted * (f64::from(photograph[i]) - far * (1.0 - kept)));
+                    let slope = -weight / count * counted * slope;
+                    *d_color = (slope * (1.0 - kept)) as f32;
+                    *d_backscatter = (slope * far * z * kept) as f32;
+                    sum += value;
+                }
+                sum
+            })
+            .collect();
+        sums.iter().sum::<f64>() / count
     }
 }
 
@@ -93,6 +96,9 @@ impl Term for DarkRest {
         values: &mut [Option<f64>],
         gradients: &mut ViewGradients,
     ) {
-        values[0] = seen.water.map(|water| Self::evaluate(seen, water, weights[0], gradients));
+        let Some(water) = seen.water else { return };
+        values[0] = Some(Self::evaluate(self, seen, water, weights[0]));
+        gradients.water_color.add(|g| g.clone_from(&self.color));
+        gradients.backscatter.add(|g| g.clone_from(&self.backscatter));
     }
 }
