@@ -89,7 +89,14 @@ fn a_phase_of_a_training_is_a_row_and_the_parameter_of_its_start() {
 #[test]
 fn a_medium_is_one_file_and_one_row() {
     let sources = sources();
-    for (name, kind) in [("mlp", "Mlp"), ("rbf", "Rbf"), ("global", "Global"), ("per_view", "PerView")] {
+    for (name, kind) in [
+        ("mlp", "Mlp"),
+        ("rbf", "Rbf"),
+        ("global", "Global"),
+        ("seasplat", "Seasplat"),
+        ("per_view", "PerView"),
+        ("uir", "Uir"),
+    ] {
         let file = format!("crates/medium/src/{name}.rs");
         let words: Vec<String> = ["Medium", "Medium::", "MediumKind::", "MediumModel::"]
             .iter()

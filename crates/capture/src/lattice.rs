@@ -65,6 +65,9 @@ pub enum Formation {
     /// Gaussians are composed without water, and each pixel is then seen through the water at its expected
     /// distance.
     PerImage,
+    /// The same with distances that are normalised in each view, 0 for the nearest and 1 for the farthest
+    /// pixel. Coefficients then have no unit, and colours lie in `[0, 1]`.
+    Normalised,
     /// As per image, with the [`DepthNetwork`] of the view in place of coefficients.
     DepthNetwork,
 }

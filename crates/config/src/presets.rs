@@ -23,15 +23,17 @@ const PRESETS: &[(&str, &str)] = &[
     ("3dgs", include_str!("presets/3dgs.toml")),
     ("water-splatting", include_str!("presets/water-splatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),
+    ("seasplat", include_str!("presets/seasplat.toml")),
     ("3d-uir", include_str!("presets/3d-uir.toml")),
     ("marinestd-gs", include_str!("presets/marinestd-gs.toml")),
 ];
 
 /// The methods of the paper's tables that can be trained, in the order of its tables: presets on which
 /// another preset can stand.
-pub const METHODS: &[&str] = &["3dgs", "water-splatting", "plenodium", "3d-uir", "marinestd-gs", "3d-use"];
+pub const METHODS: &[&str] =
+    &["3dgs", "seasplat", "water-splatting", "plenodium", "3d-uir", "marinestd-gs", "3d-use"];
 /// Those that cannot be trained yet.
-const MISSING: &[&str] = &["seasplat"];
+const MISSING: &[&str] = &[];
 
 /// Further names of presets.
 const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];
@@ -167,10 +169,8 @@ mod tests {
             (with_preset("3dgs", "vanilla"), with_preset("", "paper")),
             ("vanilla".into(), "paper".into())
         );
-        let missing = with("", "seasplat").unwrap_err();
-        assert!(
-            missing.contains("`seasplat` cannot be trained yet") && missing.contains("3dgs, water-splatting")
-        );
+        let missing = with("", "3d-uir").unwrap_err();
+        assert!(missing.contains("`3d-uir` cannot be trained yet") && missing.contains("3dgs, seasplat"));
         assert!(with("", "3dsg").unwrap_err().contains("did you mean `3dgs`?"));
         assert_eq!(preset_values("3d-use + paper"), preset_values("paper"));
         assert_eq!(preset_values("vanilla"), preset_values("3dgs"));

@@ -8,7 +8,10 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumUir, Role};
+use crate::{
+    Coefficients, MediumError, MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumSeasplat, MediumUir,
+    Role,
+};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -198,6 +201,9 @@ media! {
     PerView(MediumPerView, PerGaussian) = "per-view";
     /// A network of the inverse depth and the camera's pose, applied to the finished image (3D-UIR's water).
     Uir(MediumUir, DepthNetwork) = "uir";
+    /// Nine numbers for the whole scene, applied to the finished image at distances that are normalised in
+    /// each view (SeaSplat's water).
+    Seasplat(MediumSeasplat, Normalised) = "seasplat";
 }
 
 impl MediumKind {

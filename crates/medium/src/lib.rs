@@ -7,8 +7,8 @@
 //! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
 //! free numbers of every training view ([`MediumPerView`], as in MarineSTD-GS).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
-//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat, and another one has
-//! a network of the inverse depth there ([`MediumUir`], as in 3D-UIR).
+//! further row applies the water of [`MediumGlobal`] to the finished image. [`MediumSeasplat`] is the water of
+//! SeaSplat itself, and [`MediumUir`] that of 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
@@ -21,6 +21,7 @@ mod medium;
 mod mlp;
 mod per_view;
 mod rbf;
+mod seasplat;
 mod tensors;
 mod uir;
 
@@ -31,6 +32,7 @@ pub use medium::{Anchors, Harmonics, MediumStart};
 pub use mlp::MediumMlp;
 pub use per_view::MediumPerView;
 pub use rbf::MediumRbf;
+pub use seasplat::MediumSeasplat;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
 pub use uir::MediumUir;
 

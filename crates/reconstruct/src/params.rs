@@ -10,6 +10,7 @@ use use3d_training::EngineChoice;
 
 use crate::colors::ColorField;
 use crate::densify::Densify;
+use crate::{Priors, Turns};
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
@@ -209,6 +210,8 @@ pub struct ReconstructParams {
     pub smoothness_weight: f64,
     /// True if edges near the camera are those of the depth prior; else all are those of the photograph.
     pub smoothness_by_prior: bool,
+    /// True if depths are normalised to 0 to 1 in each view for it.
+    pub smoothness_normalised: bool,
     /// Steps after each ceiling of opacity without the smoothness term.
     pub smoothness_pause: u64,
     /// Weight of the distance between inverse depth and the depth prior, in the units of the inverse depth.
@@ -219,6 +222,10 @@ pub struct ReconstructParams {
     pub flatness_weight: f64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
+    /// Weights of priors on water, clear colours and background.
+    pub priors: Priors,
+    /// Turns in which the water or the colours move alone.
+    pub turns: Turns,
     /// True if gradients flow through the ray distances of the water's terms (R2).
     pub depth_gradient: bool,
     /// The comparison of a rendered view with its photograph.
@@ -294,11 +301,14 @@ impl Default for ReconstructParams {
             ranking_weight: 0.0,
             smoothness_weight: 0.0,
             smoothness_by_prior: false,
+            smoothness_normalised: false,
             smoothness_pause: 0,
             inverse_depth_weight: 0.0,
             variation_weight: 0.0,
             flatness_weight: 0.0,
             complete_at: 0,
+            priors: Priors::default(),
+            turns: Turns::default(),
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
             plain_until: 0.0,
@@ -372,9 +382,15 @@ impl ReconstructParams {
         not_negative("inverse_depth_weight", self.inverse_depth_weight)?;
         not_negative("variation_weight", self.variation_weight)?;
         not_negative("flatness_weight", self.flatness_weight)?;
+        if self.smoothness_by_prior && self.smoothness_normalised {
+            let expected = "false with smoothness_by_prior, whose depths are not normalised";
+            return Err(OutOfRange::new("smoothness_normalised", "true", expected));
+        }
         not_negative("exposure_weight", self.exposure_weight)?;
         not_negative("color_weight", self.color_weight)?;
         share("color_alone", self.color_alone)?;
+        self.priors.validate()?;
+        self.turns.validate()?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);

@@ -2,6 +2,7 @@
 
 mod colors;
 mod resume;
+mod seasplat;
 mod terms;
 mod water;
 
@@ -19,7 +20,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, Silent, TrainingProgress};
 
-use crate::engine::{CpuEngine, Degrees, Engine, StepPlan, StepRates, TrainingState};
+use crate::engine::{CpuEngine, Degrees, Engine, Moves, StepPlan, StepRates, TrainingState};
 use crate::losses::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::{
     DepthPrior, Exposure, FoundWater, Images, Known, LoadedView, LogEntry, Medium, MediumPrior,
@@ -104,6 +105,8 @@ fn golden_stage1_step() {
         };
         let settings = StepPlan {
             step: 0,
+            moves: Moves::All,
+            water_updates: 0,
             divisor: 1,
             degrees: Degrees { colors: degree, water: degree },
             rates: NO_RATES,

@@ -20,7 +20,7 @@ use std::collections::VecDeque;
 use use3d_capture::{Camera, Image};
 use use3d_medium::MediumModel;
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
-use use3d_reconstruct::engine::{Degrees, Engine, StepPlan, StepReport, TrainingState};
+use use3d_reconstruct::engine::{Degrees, Engine, Moves, StepPlan, StepReport, TrainingState};
 use use3d_reconstruct::{ColorState, Exposures, TrainingView, ViewParameters};
 use use3d_splat::Gaussians;
 use use3d_training::guard::first_non_finite;
@@ -287,6 +287,9 @@ impl Engine for Stage1 {
         let views = self.targets.views.len();
         if view >= views {
             return self.refused(format!("view {view} was not uploaded; there are {views}"));
+        }
+        if plan.moves != Moves::All {
+            return self.refused("turns of the water or the colours run on the processor alone".into());
         }
         self.surveyed = None;
         if self.asked.len() >= UNDER_WAY {

@@ -7,7 +7,7 @@ use use3d_capture::{FileName, Map, Pixels, Raster, View};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_reconstruct::engine::{CpuEngine, GradientScale, StepRates};
+use use3d_reconstruct::engine::{CpuEngine, GradientScale, Moves, StepRates};
 use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
@@ -84,6 +84,8 @@ fn weights() -> Vec<f64> {
 fn plan(step: u64) -> StepPlan {
     StepPlan {
         step,
+        moves: Moves::All,
+        water_updates: step,
         divisor: if step % 5 == 4 { 2 } else { 1 },
         degrees: Degrees { colors: (step as usize / 2).min(3), water: (step as usize / 3).min(3) },
         rates: RATES,

@@ -11,7 +11,7 @@ use use3d_splat::{
 };
 use use3d_training::{Drain, EngineError, Profile};
 
-use super::{Degrees, Engine, Statistics, StepPlan, StepReport, TrainingState};
+use super::{Degrees, Engine, Moves, Statistics, StepPlan, StepReport, TrainingState};
 use crate::colors::restore;
 use crate::density::{self, Draws, Origin, Survey};
 use crate::exposure::{expose, expose_backward};
@@ -111,7 +111,8 @@ impl CpuEngine {
         profile.lap(StepPart::Project);
         let options = Options {
             depth_gradient: plan.depth_gradient,
-            layers: false,
+            layers: self.losses.read_clear(&plan.weights),
+            water_only: plan.moves == Moves::Water && plan.colors.is_none(),
             signed_screen: plan.gather.is_some_and(|scale| scale.signed),
         };
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
@@ -128,6 +129,7 @@ impl CpuEngine {
                 step: plan.step,
                 camera: &camera,
                 image: shown,
+                clear: b.rendered.layers.as_ref().map(|layers| &layers.clear),
                 depth: &b.rendered.depth,
                 accumulation: &b.rendered.accumulation,
                 water: maps,
@@ -137,14 +139,18 @@ impl CpuEngine {
             },
             &plan.weights,
         );
-        let ViewGradients { image, depth, accumulation, .. } = &mut self.losses.gradients;
+        let ViewGradients { image, clear, depth, accumulation, .. } = &mut self.losses.gradients;
         let image = image.or_zeros(shown.width(), shown.height());
         if let Some(gain) = gain {
             b.exposure_gradient = expose_backward(&b.exposed, gain, image);
         }
         profile.lap(StepPart::Loss);
-        let d_rendered =
-            RenderGradients { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
+        let d_rendered = RenderGradients {
+            image,
+            depth: depth.get(),
+            accumulation: accumulation.get(),
+            clear: clear.get(),
+        };
         b.rasterizer.backward(
             &b.prepared,
             ViewOf { gaussians: &state.gaussians, camera: &camera },
@@ -216,7 +222,7 @@ impl CpuEngine {
             };
             let range = offset..offset + values.len();
             let (m, v) = (&mut first[range.clone()], &mut second[range]);
-            Adam::SPLATTING.update(plan.step + 1, rate, values, gradient, m, v);
+            Adam::SPLATTING.update(plan.water_updates + 1, rate, values, gradient, m, v);
             finite &= values.iter().all(|v| v.is_finite());
         });
         finite
@@ -227,19 +233,25 @@ impl CpuEngine {
     fn update(&mut self, view: usize, plan: &StepPlan) -> Option<(&'static str, Option<usize>)> {
         self.profile.start();
         let state = &mut self.state;
-        let mut non_finite = state.moments.update(
-            plan.step,
-            &plan.rates,
-            plan.degrees.colors,
-            &mut state.gaussians,
-            &self.buffers.gradients,
-        );
-        if !self.update_medium(plan) && non_finite.is_none() {
+        let mut non_finite = None;
+        if plan.moves != Moves::Water {
+            non_finite = state.moments.update(
+                (plan.step, plan.moves),
+                &plan.rates,
+                plan.degrees.colors,
+                &mut state.gaussians,
+                &self.buffers.gradients,
+            );
+        }
+        let flows = matches!(plan.moves, Moves::All | Moves::Water);
+        if flows && !self.update_medium(plan) && non_finite.is_none() {
             let index = use3d_training::guard::first_non_finite(&self.state.medium.flat());
             non_finite = Some(("the water's parameters", index));
         }
         let state = &mut self.state;
-        if let Some(exposure) = &plan.exposure {
+        if let Some(exposure) = &plan.exposure
+            && matches!(plan.moves, Moves::All | Moves::Gaussians)
+        {
             state.exposures.update(view, self.buffers.exposure_gradient, exposure);
             if !state.exposures.log_gains.is_finite() && non_finite.is_none() {
                 non_finite = Some(("the views' gains", None));

@@ -74,11 +74,29 @@ pub struct Degrees {
     pub water: usize,
 }
 
+/// The parameters that an update moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Moves {
+    /// All of them.
+    #[default]
+    All,
+    /// Those of Gaussians and views, and not those of the water.
+    Gaussians,
+    /// The Gaussians' colours alone.
+    Colors,
+    /// Those of the water alone.
+    Water,
+}
+
 /// The settings of one step. The same plan on the same state gives the same step, so steps can be repeated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepPlan {
     /// The step, from 0.
     pub step: u64,
+    /// The parameters that move.
+    pub moves: Moves,
+    /// Number of earlier moves of the water, for Adam's corrections.
+    pub water_updates: u64,
     /// Image divisor.
     pub divisor: usize,
     /// Active degrees.

@@ -45,6 +45,8 @@ impl<const C: usize> Slot<C> {
 pub struct ViewGradients {
     /// Gradient with respect to the image as it is [shown](super::Observation::image).
     pub image: Slot<3>,
+    /// Gradient with respect to the clear image.
+    pub clear: Slot<3>,
     /// Gradient with respect to expected depth.
     pub depth: Slot<1>,
     /// Gradient with respect to accumulation.
@@ -61,7 +63,8 @@ pub struct ViewGradients {
 
 impl ViewGradients {
     pub(crate) fn forget(&mut self) {
-        for slot in [&mut self.image, &mut self.water_color, &mut self.backscatter, &mut self.attenuation] {
+        let water = [&mut self.water_color, &mut self.backscatter, &mut self.attenuation];
+        for slot in [&mut self.image, &mut self.clear].into_iter().chain(water) {
             slot.given = false;
         }
         for slot in [&mut self.depth, &mut self.accumulation] {

@@ -9,7 +9,11 @@
 //! values before their weights, and adds the gradients of its weighted sum with respect to the rasters that
 //! it read ([`ViewGradients`]).
 
+mod background;
+mod backscatter;
+mod clear_colors;
 mod depth;
+mod far;
 mod flatness;
 mod gradients;
 mod inverse_depth;
@@ -36,6 +40,11 @@ pub const TERMS: &[LossTerm] = &[
     ranking::TERM,
     smoothness::TERM,
     smoothness::BY_PRIOR,
+    smoothness::NORMALISED,
+    far::TERM,
+    backscatter::TERM,
+    clear_colors::TERM,
+    background::TERM,
     inverse_depth::TERM,
     flatness::TERM,
 ];
@@ -72,6 +81,8 @@ pub struct Observation<'a> {
     /// The rendered view through water and, if views have gains, with its gain. It is compared with the
     /// photograph.
     pub image: &'a Image,
+    /// The view without water, `Σ w c`, if a term with a weight [reads](Term::reads_clear) it.
+    pub clear: Option<&'a Image>,
     /// Its expected depth along the optical axis, scene units; 0 where nothing is hit.
     pub depth: &'a Map,
     /// Its accumulated weight, in `[0, 1)`.
@@ -88,6 +99,11 @@ pub struct Observation<'a> {
 
 /// A term of the loss, with its buffers.
 pub trait Term: Send {
+    /// True if the term reads the clear image.
+    fn reads_clear(&self) -> bool {
+        false
+    }
+
     /// Writes the term's values, before their weights, into `values`: `None` if the view has no data for
     /// one. Adds to `gradients` those of their weighted sum. `weights` has one entry per value, and not all
     /// of them are 0.
@@ -142,6 +158,16 @@ impl Losses {
     /// Number of values of all terms together.
     pub(crate) fn values(&self) -> usize {
         self.terms.iter().map(|(values, _)| values).sum()
+    }
+
+    /// True if a term with a weight reads the clear image.
+    pub(crate) fn read_clear(&self, weights: &[f64]) -> bool {
+        let mut at = 0;
+        self.terms.iter().any(|(count, term)| {
+            let range = at..at + *count;
+            at = range.end;
+            term.reads_clear() && weights[range].iter().any(|w| *w != 0.0)
+        })
     }
 
     /// Computes the loss of a view; `weights` has one entry per value. Its gradients replace those of the

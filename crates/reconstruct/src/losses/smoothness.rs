@@ -12,28 +12,46 @@
 //! | q | depth prior by its largest value, 1 is nearest, at the first pixel of the pair; 0 is unknown |
 //! | Δ | difference between the two pixels of the pair |
 //!
+//! SeaSplat's term is `L / (z_max − z_min)`, of depths that are [normalised](DepthRange) in each view.
+//!
 //! The second form is MarineSTD-GS's: near pixels have the edges of the prior, and far ones those of the
 //! photograph. A view without a prior has the first form.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, Map};
 use use3d_numerics::math;
+use use3d_splat::DepthRange;
 
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::ReconstructParams;
 
-/// The rows of the smoothness terms: with the photograph's edges, and with those of the prior.
+/// The rows of the smoothness terms: with the photograph's edges, with those of the prior, and of normalised
+/// depths.
 pub(super) const TERM: LossTerm = LossTerm {
-    values: &[LossValue { name: "depth_smoothness", weight: |params, step| weight(params, step, false) }],
-    term: || Box::new(DepthSmoothness { by_prior: false }),
+    values: &[LossValue {
+        name: "depth_smoothness",
+        weight: |params, step| weight(params, step, [false; 2]),
+    }],
+    term: || Box::new(DepthSmoothness { by_prior: false, normalised: false }),
 };
 pub(super) const BY_PRIOR: LossTerm = LossTerm {
-    values: &[LossValue { name: "adaptive_smoothness", weight: |params, step| weight(params, step, true) }],
-    term: || Box::new(DepthSmoothness { by_prior: true }),
+    values: &[LossValue {
+        name: "adaptive_smoothness",
+        weight: |params, step| weight(params, step, [true, false]),
+    }],
+    term: || Box::new(DepthSmoothness { by_prior: true, normalised: false }),
+};
+pub(super) const NORMALISED: LossTerm = LossTerm {
+    values: &[LossValue {
+        name: "normalised_smoothness",
+        weight: |params, step| weight(params, step, [false, true]),
+    }],
+    term: || Box::new(DepthSmoothness { by_prior: false, normalised: true }),
 };
 
-fn weight(params: &ReconstructParams, step: u64, by_prior: bool) -> f64 {
-    let off = params.smoothness_weight == 0.0 || params.smoothness_by_prior != by_prior;
+fn weight(params: &ReconstructParams, step: u64, form: [bool; 2]) -> f64 {
+    let chosen = [params.smoothness_by_prior, params.smoothness_normalised];
+    let off = params.smoothness_weight == 0.0 || chosen != form;
     // A ceiling changes every depth at once, so the term waits for the scene to recover.
     let ceiling = |back| params.density_work(step - back, 0).ceiling.is_some();
     if off || (1..=params.smoothness_pause.min(step)).any(ceiling) { 0.0 } else { params.smoothness_weight }
@@ -44,6 +62,8 @@ fn weight(params: &ReconstructParams, step: u64, by_prior: bool) -> f64 {
 pub(super) struct DepthSmoothness {
     /// True if near pixels have the edges of the prior.
     pub(super) by_prior: bool,
+    /// True if depths are normalised in each view.
+    pub(super) normalised: bool,
 }
 
 /// The images whose edges count.
@@ -134,9 +154,13 @@ impl Term for DepthSmoothness {
         gradients: &mut ViewGradients,
     ) {
         let (photograph, prior) = (&seen.target.image, seen.target.prior.as_ref());
-        let value = gradients
-            .depth
-            .add(|g| DepthSmoothness::evaluate(*self, seen.depth, photograph, prior, weights[0], g));
+        let value = gradients.depth.add(|g| {
+            let value = DepthSmoothness::evaluate(*self, seen.depth, photograph, prior, weights[0], g);
+            match self.normalised {
+                true => DepthRange::of(seen.depth, seen.accumulation).per_extent(value, weights[0], g),
+                false => value,
+            }
+        });
         values[0] = Some(value);
     }
 }

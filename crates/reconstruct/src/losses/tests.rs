@@ -1,6 +1,6 @@
 //! Compares the losses with goldens and finite differences.
 
-use use3d_capture::{Image, Map};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, Map, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_metrics::ms_ssim::level_weights;
 use use3d_metrics::{decibels, mask_of, psnr};
@@ -8,7 +8,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::*;
-use crate::{DepthPrior, Photometric};
+use crate::{DepthPrior, Photometric, Priors, Target, Turns};
 
 fn image(case: &Case<'_>, name: &str) -> Image {
     let (w, h, data) = case.planes(name);
@@ -105,111 +105,103 @@ fn golden_rivals() {
     case.check_planes("grad.depth_ranking.depth", gradient.data());
 }
 
-/// Gaussians in front of a camera, and the view that all of them reach.
-fn in_view(log_scales: Vec<[f32; 3]>) -> (Camera, Gaussians, Prepared) {
-    let intrinsics =
-        use3d_capture::Intrinsics { width: 23, height: 19, fx: 20.0, fy: 20.0, cx: 11.0, cy: 9.0 };
-    let camera = Camera { intrinsics, pose: use3d_capture::Pose::IDENTITY };
-    let mut gaussians = crate::engine::zeros(log_scales.len(), 0);
-    gaussians.means.fill([0.0, 0.0, 4.0]);
-    gaussians.quaternions.fill([1.0, 0.0, 0.0, 0.0]);
-    gaussians.log_scales = log_scales;
-    let mut prepared = Prepared::new();
-    let lattice = use3d_capture::Lattice::full(&camera.intrinsics);
-    prepared.prepare(&gaussians, &camera, &lattice, use3d_splat::Colors::Sh { degree: 0 });
-    (camera, gaussians, prepared)
-}
-
-/// Value and gradients (depth, accumulation, sizes) of a term of 3D-UIR with these weights.
-fn evaluated(
-    row: &LossTerm,
-    (depth, accumulation, prior): (&Map, &Map, Option<&Map>),
-    log_scales: Vec<[f32; 3]>,
-    weights: &[f64],
-) -> (Vec<Option<f64>>, ViewGradients) {
-    let (camera, gaussians, prepared) = in_view(log_scales);
-    let target = Target { prior: prior.cloned(), ..Target::default() };
-    let image = Image::new(depth.width(), depth.height());
-    let (mut values, mut gradients) = (vec![None; weights.len()], ViewGradients::default());
+/// Evaluates a row of the table on a case of SeaSplat's priors, with weights of one value at a time.
+fn golden_prior(case: &Case<'_>, row: LossTerm, outputs: &[&str]) {
+    let (width, height) = (case.count("width"), case.count("height"));
+    let of = |name: &str| if case.has(name) { image(case, name) } else { Image::new(width, height) };
+    let map_of = |name: &str| if case.has(name) { map(case, name) } else { Map::new(width, height) };
+    let laid_over = case.config()["laid_over"].as_bool().unwrap_or(true);
+    let formation = if laid_over { Formation::Normalised } else { Formation::PerGaussian };
+    let water = MediumMaps {
+        color: of("in.c_m"),
+        backscatter: of("in.beta_bs"),
+        attenuation: Image::new(width, height),
+        formation,
+        network: None,
+    };
+    let (shown, clear) = (of("in.image"), of("in.clear"));
+    let (depth, accumulation) = (map_of("in.depth"), map_of("in.accumulation"));
+    let target = Target { image: of("in.target"), ..Target::default() };
+    let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 5.0, cy: 4.0 };
+    let pose = Pose { rotation: glam::DMat3::IDENTITY, translation: glam::DVec3::ZERO };
     let seen = Observation {
         step: 0,
-        camera: &camera,
-        image: &image,
-        depth,
-        accumulation,
-        water: None,
+        camera: &Camera { intrinsics, pose },
+        image: &shown,
+        clear: Some(&clear),
+        depth: &depth,
+        accumulation: &accumulation,
+        water: Some(&water),
         target: &target,
-        gaussians: &gaussians,
-        prepared: &prepared,
+        gaussians: &Gaussians::empty(0),
+        prepared: &Prepared::new(),
     };
-    (row.term)().evaluate(&seen, weights, &mut values, &mut gradients);
-    (values, gradients)
-}
-
-#[test]
-fn golden_terms_of_3d_uir() {
-    let part = Part::math("uir");
-    let of = |name: &str| part.cases().into_iter().find(|case| case.name() == name).unwrap();
-    for (name, value, at) in [("agreement", "inverse_depth", 0), ("variation", "depth_variation", 1)] {
-        let case = of(name);
-        let prior = case.has("in.prior").then(|| map(&case, "in.prior"));
-        let pixels = (&map(&case, "in.depth"), &map(&case, "in.opacity"), prior.as_ref());
-        let mut weights = [0.0; 2];
-        weights[at] = case.f64(&format!("cot.{value}"))[0];
-        let (values, gradients) = evaluated(&inverse_depth::TERM, pixels, vec![[-2.0; 3]], &weights);
-        case.check_f64(&format!("out.{value}"), &[values[at].unwrap()]);
-        case.check_planes("grad.all.depth", gradients.depth.get().unwrap().data());
-        case.check_planes("grad.all.opacity", gradients.accumulation.get().unwrap().data());
-    }
-    let case = of("flatness");
-    let (none, scales) = (Map::new(23, 19), case.rows::<3>("in.scales"));
-    let weight = case.f64("cot.flatness")[0];
-    let (values, mut gradients) = evaluated(&flatness::TERM, (&none, &none, None), scales.clone(), &[weight]);
-    case.check_f64("out.flatness", &[values[0].unwrap()]);
-    case.check("grad.all.scales", gradients.log_scales(scales.len()).as_flattened());
-}
-
-#[test]
-fn inverse_depth_needs_pixels_and_a_prior_that_varies_and_its_gradient_agrees_with_differences() {
-    let n = 23 * 19;
-    let stream = Stream::new(3, Purpose::new("inverse depth"), 0);
-    let draw = |from: u64| (0..n).map(|i| 0.3 + 0.6 * stream.uniform(from + i as u64) as f32).collect();
-    let of = |data: Vec<f32>| Map::from_planes(23, 19, data).unwrap();
-    let (depth, accumulation, prior) = (of(draw(0)), of(draw(1000)), of(draw(2000)));
-    let value = |depth: &Map, accumulation: &Map, prior: &Map| {
-        let pixels = (depth, accumulation, Some(prior));
-        evaluated(&inverse_depth::TERM, pixels, vec![[-2.0; 3]], &[0.0, 1.0]).0[1].unwrap()
-    };
-    let pixels = (&depth, &accumulation, Some(&prior));
-    let (_, gradients) = evaluated(&inverse_depth::TERM, pixels, vec![[-2.0; 3]], &[0.0, 1.0]);
-    for at in (0..n).step_by(17) {
-        let moved = |map: &Map, by: f32| {
-            let mut map = map.clone();
-            map.data_mut()[at] += by;
-            map
-        };
-        let h = 1e-4;
-        let by_depth = (value(&moved(&depth, h), &accumulation, &prior)
-            - value(&moved(&depth, -h), &accumulation, &prior))
-            / f64::from(2.0 * h);
-        let by_opacity = (value(&depth, &moved(&accumulation, h), &prior)
-            - value(&depth, &moved(&accumulation, -h), &prior))
-            / f64::from(2.0 * h);
-        for (numeric, slot) in [(by_depth, &gradients.depth), (by_opacity, &gradients.accumulation)] {
-            let own = f64::from(slot.get().unwrap().data()[at]);
-            assert!((own - numeric).abs() < 2e-4, "pixel {at}: {own} against {numeric}");
+    let mut losses = Losses::new(&[row]);
+    for (i, output) in outputs.iter().enumerate() {
+        let d_output = case.f64(&format!("cot.{output}"))[0];
+        let mut weights = vec![0.0; outputs.len()];
+        weights[i] = d_output;
+        let loss = losses.evaluate(&seen, &weights);
+        case.check_f64(&format!("out.{output}"), &[loss.values[i].unwrap()]);
+        let gradients = &losses.gradients;
+        for name in case.grads() {
+            let found = match name.as_str() {
+                "image" => gradients.image.get().unwrap().data(),
+                "clear" => gradients.clear.get().unwrap().data(),
+                "depth" => gradients.depth.get().unwrap().data(),
+                "c_m" => gradients.water_color.get().unwrap().data(),
+                "beta_bs" => gradients.backscatter.get().unwrap().data(),
+                _ => gradients.accumulation.get().unwrap().data(),
+            };
+            case.check_planes(&format!("grad.{output}.{name}"), found);
         }
+        // Nothing but these has a gradient.
+        assert!(gradients.attenuation.get().is_none());
+        assert_eq!(gradients.depth.get().is_some(), case.grads() == ["depth"]);
+        assert_eq!(gradients.image.get().is_some(), case.grads() == ["image"]);
     }
-    for prior in [Map::filled(23, 19, 0.5), Map::filled(23, 19, f32::NAN), Map::new(23, 19)] {
-        let (values, gradients) = evaluated(
-            &inverse_depth::TERM,
-            (&depth, &accumulation, Some(&prior)),
-            vec![[-2.0; 3]],
-            &[1.0, 0.0],
-        );
-        assert_eq!(values, [Some(0.0), None]);
-        assert!(gradients.depth.get().unwrap().data().iter().all(|g| *g == 0.0));
+}
+
+#[test]
+fn golden_seasplat() {
+    let part = Part::math("seasplat");
+    let mut seen = 0;
+    for case in part.cases() {
+        let (row, outputs): (LossTerm, &[&str]) = match case.name() {
+            "far_l1" => (far::TERM, &["far_l1"]),
+            "smoothness" => (smoothness::NORMALISED, &["smoothness"]),
+            "backscatter" => (backscatter::TERM, &["backscatter"]),
+            "clear_colors" => (clear_colors::TERM, &["saturation", "grey_world"]),
+            "background" | "background_before" => (background::TERM, &["background"]),
+            _ => continue,
+        };
+        golden_prior(&case, row, outputs);
+        seen += 1;
     }
+    assert_eq!(seen, 6);
+}
+
+#[test]
+fn priors_on_water_begin_with_it_and_the_clear_image_is_made_for_those_that_read_it() {
+    let priors = Priors { far: 1.0, backscatter: 1.0, saturation: 2.0, grey_world: 0.1, background: 0.01 };
+    let turns = Turns { from: 0.5, water: 10, ..Turns::default() };
+    let params = ReconstructParams { iterations: 100, priors, turns, ..ReconstructParams::default() };
+    let named = |params: &ReconstructParams, step| -> Vec<(&str, f64)> {
+        names().zip(super::weights(params, step)).skip(OWN_VALUES).filter(|(_, w)| *w > 0.0).collect()
+    };
+    assert_eq!(named(&params, 49), [("far_l1", 1.0), ("background", 0.01)]);
+    let all = [
+        ("far_l1", 1.0),
+        ("backscatter", 1.0),
+        ("saturation", 2.0),
+        ("grey_world", 0.1),
+        ("background", 0.01),
+    ];
+    assert_eq!(named(&params, 50), all);
+    let losses = Losses::new(TERMS);
+    let read = |params: &ReconstructParams, step| losses.read_clear(&super::weights(params, step));
+    assert_eq!((read(&params, 49), read(&params, 50)), (false, true));
+    assert!(!read(&ReconstructParams::default(), 50));
 }
 
 #[test]
@@ -218,7 +210,8 @@ fn golden_smoothness() {
     for (name, by_prior) in [("smoothness", false), ("adaptive_smoothness", true)] {
         let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
         let (depth, photograph) = (map(&case, "in.depth"), image(&case, "in.target"));
-        let (prior, term) = (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior });
+        let (prior, term) =
+            (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior, normalised: false });
         let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.smoothness")[0]);
         let value = term.evaluate(&depth, &photograph, Some(&prior), d_output, &mut gradient);
         case.check_f64("out.smoothness", &[value]);
@@ -250,6 +243,9 @@ fn smoothness_waits_after_a_ceiling_and_has_one_kind_of_edges() {
     };
     assert_eq!(of(&params, "depth_smoothness", 0), 0.01);
     assert_eq!(of(&params, "adaptive_smoothness", 0), 0.0);
+    params.smoothness_normalised = true;
+    assert_eq!((of(&params, "depth_smoothness", 0), of(&params, "normalised_smoothness", 0)), (0.0, 0.01));
+    params.smoothness_normalised = false;
     (params.smoothness_by_prior, params.smoothness_pause) = (true, 100);
     let ceiling = (1000..2000).find(|step| params.density_work(*step, 9).ceiling.is_some()).unwrap();
     let at = |step| of(&params, "adaptive_smoothness", step);
@@ -394,3 +390,5 @@ fn worthless_priors_give_no_gradient_and_no_nan() {
     let loss = DepthPriorLoss.evaluate(&Map::filled(8, 8, f32::NAN), &depth, 0.1, &mut gradient);
     assert!(loss == 0.0 && gradient.data().iter().all(|&g| g == 0.0));
 }
+
+mod uir;

@@ -3,10 +3,14 @@
 use super::*;
 
 /// A term that reads every input:
-/// `½ mean image² + mean depth + ½ mean accumulation² + mean of the water's maps`.
+/// `½ mean image² + ½ mean clear² + mean depth + ½ mean accumulation² + mean of the water's maps`.
 struct Everything;
 
 impl Term for Everything {
+    fn reads_clear(&self) -> bool {
+        true
+    }
+
     fn evaluate(
         &mut self,
         seen: &Observation<'_>,
@@ -19,10 +23,13 @@ impl Term for Everything {
         let mean =
             |values: &[f32], f: fn(f64) -> f64| values.iter().map(|v| f(f64::from(*v))).sum::<f64>() / n;
         let half_square = |v: f64| 0.5 * v * v;
+        let clear = seen.clear.unwrap();
         let mut value = mean(seen.image.data(), half_square)
+            + mean(clear.data(), half_square)
             + mean(seen.depth.data(), |v| v)
             + mean(seen.accumulation.data(), half_square);
         gradients.image.add(|g| *g = seen.image.map(|v| scale * v));
+        gradients.clear.add(|g| *g = clear.map(|v| scale * v));
         gradients.depth.add(|g| *g = seen.depth.map(|_| scale));
         gradients.accumulation.add(|g| *g = seen.accumulation.map(|v| scale * v));
         let water = seen.water.unwrap();
@@ -60,6 +67,8 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
     let state = TrainingState::new(gaussians, MediumModel::Rbf(water), &[]);
     let plan = StepPlan {
         step: 0,
+        moves: Moves::All,
+        water_updates: 0,
         divisor: 2,
         degrees: Degrees { colors: 0, water: 0 },
         rates: NO_RATES,

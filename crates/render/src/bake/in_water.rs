@@ -40,7 +40,7 @@
 //! actual position.
 
 use rayon::prelude::*;
-use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_capture::{Camera, Formation, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_numerics::cholesky::Factor;
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, bands, basis};
@@ -81,7 +81,7 @@ pub struct InWater {
 ///
 /// # Errors
 /// The strength or the share is outside `[0, 1]`, the enhanced look of a scene without enhancement is
-/// requested, or there is no camera.
+/// requested, there is no camera, or the water belongs to finished images (`seasplat`, `uir`).
 pub fn bake_in_water(
     scene: &Scene,
     look: Look,
@@ -102,6 +102,10 @@ pub fn bake_in_water(
     }
     if cameras.is_empty() {
         return Err(RenderError::NoCameras);
+    }
+    let kind = scene.medium.kind();
+    if matches!(kind.formation(), Formation::Normalised | Formation::DepthNetwork) {
+        return Err(RenderError::NoPlace(kind.name()));
     }
     let look = WaterLook { scene, strength, water, cameras };
     let effects = look.effects();

@@ -11,6 +11,7 @@ mod groups;
 mod inputs;
 mod lanes;
 mod linear;
+mod normalised;
 mod outputs;
 mod pairs;
 mod per_image;
@@ -24,5 +25,6 @@ mod tile;
 mod trim;
 mod weighted;
 
+pub use normalised::DepthRange;
 pub use pairs::Pairs;
 pub use rasterizer::Rasterizer;

@@ -182,6 +182,10 @@ impl Rasterizer {
         if let Some(water) = over_the_image(medium) {
             let mut clear = self.clear_of(prepared);
             clear.differentiate(self.kernels, prepared, water, (d_rendered, options), grads.medium);
+            if options.water_only {
+                self.clear = clear;
+                return;
+            }
             let d_rendered = RenderGradients {
                 image: &clear.d_image,
                 depth: Some(&clear.d_depth),

@@ -192,9 +192,11 @@ fn finite_differences_agree_under_water() {
 
 #[test]
 fn finite_differences_agree_with_water_over_the_image() {
-    for seed in 0..3 {
+    for (seed, formation) in
+        [0, 1, 2, 3].into_iter().flat_map(|seed| [(seed, Formation::PerImage), (seed, Formation::Normalised)])
+    {
         let mut medium = random_medium(70, 45, seed % 2 == 0, seed);
-        medium.formation = Formation::PerImage;
+        medium.formation = formation;
         let mut scene = Scene {
             camera: random_camera(70, 45),
             gaussians: random_gaussians(10, 0.9, seed),

@@ -74,6 +74,11 @@ pub enum CardError {
     /// Cards do not gather what these density rules read.
     #[error("expected cpu for the density rules `{0}`, which graphics cards do not have")]
     Rules(&'static str),
+    /// Cards move all parameters in every step.
+    #[error(
+        "expected cpu for turns in which the water moves alone (`turns.water`), which graphics cards do not have"
+    )]
+    Turns,
     /// Cards have no kernel for this colour field.
     #[error("expected cpu for the colour field `{0}`, for which graphics cards have no kernel")]
     Colors(&'static str),
@@ -170,6 +175,9 @@ impl ChoosesEngine for ReconstructParams {
         }
         if self.densify.strategy == Strategy::Signed {
             return Some(CardError::Rules("3dgs"));
+        }
+        if self.turns.water > 0 {
+            return Some(CardError::Turns);
         }
         if self.color_field != ColorField::Off {
             return Some(CardError::Colors(self.color_field.name()));
