@@ -127,6 +127,7 @@ mod tests {
             backscatter: image(&case, "in.beta_bs"),
             attenuation: image(&case, "in.beta_attn"),
             formation: Formation::Normalised,
+            network: None,
         };
         for kernels in [Kernels::Plain, Kernels::Lanes(Level::baseline()), Kernels::Lanes(Level::new())] {
             let mut clear = Clear::default();
