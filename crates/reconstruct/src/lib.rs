@@ -33,7 +33,7 @@ mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
-pub use colors::{ColorField, ColorRole, ColorState, ColorStep};
+pub use colors::{ColorField, ColorState, ColorStep};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
