@@ -36,7 +36,7 @@ mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
-pub use colors::{ColorField, ColorRole, ColorState, ColorStep};
+pub use colors::{ColorField, ColorState, ColorStep};
 pub use densify::{Densify, Strategy};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};

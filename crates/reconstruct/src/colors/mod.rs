@@ -60,7 +60,7 @@ impl ColorField {
 
 /// The role of a parameter of a field, by which it gets its learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ColorRole {
+enum ColorRole {
     /// A feature of a place in the scene.
     Grid,
     /// A weight or bias of a network.
