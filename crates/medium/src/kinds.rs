@@ -205,6 +205,11 @@ impl MediumKind {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
     }
 
+    /// True if its coefficients are per scene unit of distance, like those of real water.
+    pub fn is_per_length(self) -> bool {
+        self.formation() != Formation::Normalised
+    }
+
     /// The names of all kinds for which `fits` is true, for a message: `rbf, mlp or none`.
     pub fn names(fits: impl Fn(Self) -> bool) -> String {
         let names: Vec<&str> = Self::ALL.iter().filter(|kind| fits(**kind)).map(|kind| kind.name()).collect();

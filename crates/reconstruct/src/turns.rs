@@ -1,8 +1,8 @@
 //! Turns in which the water or the colours move alone: the schedule of SeaSplat.
 //!
 //! ```text
-//! step      0 … S − 1     S                                            S + 1 …
-//! moves     everything    water × n₁, colours × n₂, then Gaussians     Gaussians, after water × W at every E-th step
+//! step      0 … S − 1     S                                  S + 1 …
+//! moves     everything    water × n₁, colours × (n₂ + 1)     Gaussians, after water × W at every E-th step
 //! ```
 //!
 //! Before the step `S` there is no water, and its colour is the background behind the scene. `S`, `n₁` and
@@ -132,7 +132,8 @@ impl ReconstructParams {
         let ends_step = at == self.turned_before(step + 1) - before;
         let moves = match (ends_step, step < begins) {
             (true, true) => Moves::All,
-            (true, false) => Moves::Gaussians,
+            (true, false) if step > begins => Moves::Gaussians,
+            (true, false) => Moves::Colors,
             (false, _) if step > begins || at < first => Moves::Water,
             (false, _) => Moves::Colors,
         };
@@ -176,7 +177,7 @@ mod tests {
         assert_eq!(at(10_999), (10_000, Moves::Water, false, 999));
         assert_eq!(at(11_000), (10_000, Moves::Colors, false, 1000));
         assert_eq!(at(12_999), (10_000, Moves::Colors, false, 1000));
-        assert_eq!(at(13_000), (10_000, Moves::Gaussians, true, 1000));
+        assert_eq!(at(13_000), (10_000, Moves::Colors, true, 1000));
         assert_eq!(at(13_098), (10_098, Moves::Gaussians, true, 1000));
         assert_eq!(at(13_099), (10_099, Moves::Water, false, 1000));
         assert_eq!(at(13_148), (10_099, Moves::Water, false, 1049));

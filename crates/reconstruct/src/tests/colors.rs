@@ -28,6 +28,8 @@ fn a_field_gets_the_gradient_of_the_loss_and_alone_it_changes_neither_gaussians_
         ReconstructParams { depth_weight: 0.0, structure_weight: 0.0, ..ReconstructParams::default() };
     let plan = |colors| StepPlan {
         step: 0,
+        moves: Moves::All,
+        water_updates: 0,
         divisor: 1,
         degrees: Degrees { colors: 0, water: 0 },
         rates: NO_RATES,
