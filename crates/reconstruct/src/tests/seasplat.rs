@@ -109,9 +109,9 @@ fn all_terms_together_agree_with_finite_differences() {
             "plain_ssim",
             "normalised_smoothness",
             "far_l1",
-            "backscatter",
-            "saturation",
-            "grey_world"
+            "backscatter_prior",
+            "saturation_prior",
+            "grey_world_prior"
         ]
     );
     let (gaussian, water) = engine.gradients();
