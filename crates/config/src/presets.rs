@@ -32,8 +32,6 @@ const PRESETS: &[(&str, &str)] = &[
 /// another preset can stand.
 pub const METHODS: &[&str] =
     &["3dgs", "seasplat", "water-splatting", "plenodium", "3d-uir", "marinestd-gs", "3d-use"];
-/// Those that cannot be trained yet.
-const MISSING: &[&str] = &[];
 
 /// Further names of presets.
 const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];
@@ -55,18 +53,12 @@ fn is_method(name: &str) -> bool {
 /// The name of a preset with another method below it.
 ///
 /// # Errors
-/// There is no such method, or none yet.
+/// There is no such method.
 pub(super) fn with_method(preset: &str, method: &str) -> Result<String, ConfigError> {
     if !is_method(method) {
         let known = METHODS.join(", ");
-        let why = match MISSING.contains(&method) {
-            true => format!("the method `{method}` cannot be trained yet; there are {known}"),
-            false => format!(
-                "no method `{method}`; there are {known}{}",
-                did_you_mean(method, METHODS.iter().copied())
-            ),
-        };
-        return Err(ConfigError::plain(why));
+        let near = did_you_mean(method, METHODS.iter().copied());
+        return Err(ConfigError::plain(format!("no method `{method}`; there are {known}{near}")));
     }
     let above = preset.split(OVER).filter(|name| !name.is_empty() && !is_method(name));
     Ok([method].into_iter().chain(above).collect::<Vec<_>>().join(OVER))
@@ -159,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_method_is_the_base_of_a_preset_and_one_that_is_missing_is_refused_by_name() {
+    fn a_method_is_the_base_of_a_preset_and_another_name_is_refused() {
         let with = |preset, method| with_method(preset, method).map_err(|e| e.to_string());
         assert_eq!(with("", "3dgs").as_deref(), Ok("3dgs"));
         assert_eq!(with("paper", "3d-use").as_deref(), Ok("3d-use + paper"));
@@ -169,8 +161,6 @@ mod tests {
             (with_preset("3dgs", "vanilla"), with_preset("", "paper")),
             ("vanilla".into(), "paper".into())
         );
-        let missing = with("", "3d-uir").unwrap_err();
-        assert!(missing.contains("`3d-uir` cannot be trained yet") && missing.contains("3dgs, seasplat"));
         assert!(with("", "3dsg").unwrap_err().contains("did you mean `3dgs`?"));
         assert_eq!(preset_values("3d-use + paper"), preset_values("paper"));
         assert_eq!(preset_values("vanilla"), preset_values("3dgs"));

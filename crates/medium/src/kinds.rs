@@ -212,6 +212,11 @@ impl MediumKind {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
     }
 
+    /// True if its effect follows from coefficients per scene unit of distance, like that of real water.
+    pub fn is_per_length(self) -> bool {
+        matches!(self.formation(), Formation::PerGaussian | Formation::PerImage)
+    }
+
     /// The names of all kinds for which `fits` is true, for a message: `rbf, mlp or none`.
     pub fn names(fits: impl Fn(Self) -> bool) -> String {
         let names: Vec<&str> = Self::ALL.iter().filter(|kind| fits(**kind)).map(|kind| kind.name()).collect();

@@ -8,8 +8,8 @@
 //! normalised in each view. At the start `c_m` is `(0.05, 0.25, 0.8)`, `b` is 0.5 and `a` is
 //! `(1.1, 0.95, 0.95)`.
 //!
-//! A degree of 0 stands for the time before there is water. Then the colour `c_m` is the background behind the
-//! scene, and the coefficients are zero. With any other degree the whole model holds.
+//! A degree of 0 stands for the time before there is water. Then the colour `c_m` is the background behind
+//! the scene, and the coefficients are zero. With any other degree the whole model holds.
 
 use use3d_capture::{Camera, Formation, Image, Lattice, MediumMaps};
 use use3d_numerics::math;

@@ -1,59 +1,20 @@
 //! Turns in which the water or the colours move alone: the schedule of SeaSplat.
 //!
 //! ```text
-//! step      0 … S − 1     S                                            S + 1 …
-//! moves     everything    water × n₁, colours × n₂, then Gaussians     Gaussians, after water × W at every E-th step
+//! step      0 … S − 1     S                                  S + 1 …
+//! moves     everything    water × n₁, colours × (n₂ + 1)     Gaussians, after water × W at every E-th step
 //! ```
 //!
 //! Before the step `S` there is no water, and its colour is the background behind the scene. `S`, `n₁` and
 //! `n₂` are shares of the run, and so they scale with its length. An *update* is one view, its loss and the
-//! moves that follow. A step has one update of its own, after those of its turns. Refinements, lines of the log and
-//! evaluations count steps. Checkpoints, the order of the views and the progress count updates.
+//! moves that follow. A step has one update of its own, after those of its turns. Refinements, lines of the
+//! log and evaluations count steps. Checkpoints, the order of the views and the progress count updates.
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
-use use3d_numerics::range::{OutOfRange, at_least, within};
-
-use crate::ReconstructParams;
 use crate::engine::Moves;
+use crate::{ReconstructParams, Turns};
 
-/// The turns of a run.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Turns {
-    /// Share of the run from which there is water. Before, its colour is the background behind the scene.
-    pub from: f64,
-    /// Updates of the water alone when it begins, as a share of the run's steps.
-    pub water_first: f64,
-    /// Updates of the colours alone after them, as a share of the run's steps.
-    pub colors_first: f64,
-    /// Steps between later turns of the water.
-    pub every: u64,
-    /// Updates of the water alone in each later turn. Outside its turns the water does not move. 0: there
-    /// are no turns, and the water moves in every step.
-    pub water: u64,
-}
-
-impl Default for Turns {
-    fn default() -> Self {
-        Self { from: 0.0, water_first: 0.0, colors_first: 0.0, every: 100, water: 0 }
-    }
-}
-
-/// The most updates in a turn.
-const MOST: u64 = 10_000;
 /// The cost of an update of the water alone, relative to a whole one.
 const WATER_ALONE: f64 = 0.6;
-
-impl Turns {
-    pub(crate) fn validate(&self) -> Result<(), OutOfRange> {
-        within("turns.from", self.from, 0.0, 1.0)?;
-        within("turns.water_first", self.water_first, 0.0, 1.0)?;
-        within("turns.colors_first", self.colors_first, 0.0, 1.0)?;
-        at_least("turns.every", self.every, 1)?;
-        within("turns.water", self.water, 0, MOST)
-    }
-}
 
 /// An update of a run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -132,7 +93,8 @@ impl ReconstructParams {
         let ends_step = at == self.turned_before(step + 1) - before;
         let moves = match (ends_step, step < begins) {
             (true, true) => Moves::All,
-            (true, false) => Moves::Gaussians,
+            (true, false) if step > begins => Moves::Gaussians,
+            (true, false) => Moves::Colors,
             (false, _) if step > begins || at < first => Moves::Water,
             (false, _) => Moves::Colors,
         };
@@ -176,7 +138,7 @@ mod tests {
         assert_eq!(at(10_999), (10_000, Moves::Water, false, 999));
         assert_eq!(at(11_000), (10_000, Moves::Colors, false, 1000));
         assert_eq!(at(12_999), (10_000, Moves::Colors, false, 1000));
-        assert_eq!(at(13_000), (10_000, Moves::Gaussians, true, 1000));
+        assert_eq!(at(13_000), (10_000, Moves::Colors, true, 1000));
         assert_eq!(at(13_098), (10_098, Moves::Gaussians, true, 1000));
         assert_eq!(at(13_099), (10_099, Moves::Water, false, 1000));
         assert_eq!(at(13_148), (10_099, Moves::Water, false, 1049));

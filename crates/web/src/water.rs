@@ -7,7 +7,7 @@
 use glam::{DMat3, DVec3};
 use half::f16;
 use serde_json::{Value, json};
-use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_medium::Coefficients;
 use use3d_scene::Scene;
 
@@ -21,7 +21,7 @@ fn flat(coefficients: &Coefficients) -> &[f32] {
 /// True if the page draws the scene's water. It has no place for distances that are normalised in each view,
 /// nor for a network of the depth.
 fn drawn(scene: &Scene) -> bool {
-    matches!(scene.medium.kind().formation(), Formation::PerGaussian | Formation::PerImage)
+    scene.medium.kind().is_per_length()
 }
 
 /// The water's entry in the header.

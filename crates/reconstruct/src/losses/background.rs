@@ -4,8 +4,8 @@
 //! L = mean of A over the pixels with |C − c_m| < 0.2 √3
 //! ```
 //!
-//! `A` is the accumulated weight and `C` the colour of the image. Before there is water, `c_m` is the background,
-//! and its light `c_m (1 − A)` is no part of `C`. The choice of pixels has no gradient.
+//! `A` is the accumulated weight and `C` the colour of the image. Before there is water, `c_m` is the
+//! background, and its light `c_m (1 − A)` is no part of `C`. The choice of pixels has no gradient.
 
 use use3d_capture::{Formation, Map, MediumMaps};
 use use3d_numerics::sums::sums;
@@ -14,7 +14,7 @@ use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 
 /// The row of the term.
 pub(super) const TERM: LossTerm = LossTerm {
-    values: &[LossValue { name: "background", weight: |params, _| params.priors.background }],
+    values: &[LossValue { name: "background_prior", weight: |params, _| params.priors.background }],
     term: || Box::new(Background),
 };
 

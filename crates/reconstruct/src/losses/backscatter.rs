@@ -1,13 +1,13 @@
-//! A photograph without its backscatter is dark, and not below zero: SeaSplat's prior on backscatter, after the
-//! dark-channel prior.
+//! A photograph without its backscatter is dark, and not below zero: SeaSplat's prior on backscatter, after
+//! the dark-channel prior.
 //!
 //! ```text
 //! r = I − c_m (1 − e^{−β_bs ẑ})
 //! L = mean max(r, 0) + 1000 mean h(max(−r, 0))      h(x) = x² / 0.4 below 0.2, and x − 0.1 above
 //! ```
 //!
-//! `I` is the photograph. [`DepthRange`] defines the normalised distance `ẑ`, which has no gradient here. So the
-//! term moves the water alone. A mask multiplies `r`.
+//! `I` is the photograph. [`DepthRange`] defines the normalised distance `ẑ`, which has no gradient here. So
+//! the term moves the water alone. A mask multiplies `r`.
 
 use rayon::prelude::*;
 use use3d_capture::{Image, MediumMaps};
@@ -18,8 +18,10 @@ use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::ReconstructParams;
 
 /// The row of the term.
-pub(super) const TERM: LossTerm =
-    LossTerm { values: &[LossValue { name: "backscatter", weight }], term: || Box::<DarkRest>::default() };
+pub(super) const TERM: LossTerm = LossTerm {
+    values: &[LossValue { name: "backscatter_prior", weight }],
+    term: || Box::<DarkRest>::default(),
+};
 
 fn weight(params: &ReconstructParams, step: u64) -> f64 {
     if step < params.water_begins() { 0.0 } else { params.priors.backscatter }

@@ -18,11 +18,11 @@ use crate::ReconstructParams;
 pub(super) const TERM: LossTerm = LossTerm {
     values: &[
         LossValue {
-            name: "saturation",
+            name: "saturation_prior",
             weight: |params, step| after(params, step, params.priors.saturation),
         },
         LossValue {
-            name: "grey_world",
+            name: "grey_world_prior",
             weight: |params, step| after(params, step, params.priors.grey_world),
         },
     ],

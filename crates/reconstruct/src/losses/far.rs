@@ -4,7 +4,8 @@
 //! L = mean |ẑ (Î − I)|
 //! ```
 //!
-//! [`DepthRange`] defines the normalised distance `ẑ`, which has no gradient here. A mask multiplies both images.
+//! [`DepthRange`] defines the normalised distance `ẑ`, which has no gradient here. A mask multiplies both
+//! images.
 
 use rayon::prelude::*;
 use use3d_capture::Image;

@@ -189,13 +189,13 @@ fn priors_on_water_begin_with_it_and_the_clear_image_is_made_for_those_that_read
     let named = |params: &ReconstructParams, step| -> Vec<(&str, f64)> {
         names().zip(super::weights(params, step)).skip(OWN_VALUES).filter(|(_, w)| *w > 0.0).collect()
     };
-    assert_eq!(named(&params, 49), [("far_l1", 1.0), ("background", 0.01)]);
+    assert_eq!(named(&params, 49), [("far_l1", 1.0), ("background_prior", 0.01)]);
     let all = [
         ("far_l1", 1.0),
-        ("backscatter", 1.0),
-        ("saturation", 2.0),
-        ("grey_world", 0.1),
-        ("background", 0.01),
+        ("backscatter_prior", 1.0),
+        ("saturation_prior", 2.0),
+        ("grey_world_prior", 0.1),
+        ("background_prior", 0.01),
     ];
     assert_eq!(named(&params, 50), all);
     let losses = Losses::new(TERMS);

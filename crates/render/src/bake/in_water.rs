@@ -40,7 +40,7 @@
 //! actual position.
 
 use rayon::prelude::*;
-use use3d_capture::{Camera, Formation, Intrinsics, Lattice, MediumMaps, Pose};
+use use3d_capture::{Camera, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_numerics::cholesky::Factor;
 use use3d_numerics::math;
 use use3d_numerics::spherical_harmonics::{C0, bands, basis};
@@ -104,7 +104,7 @@ pub fn bake_in_water(
         return Err(RenderError::NoCameras);
     }
     let kind = scene.medium.kind();
-    if matches!(kind.formation(), Formation::Normalised | Formation::DepthNetwork) {
+    if !kind.is_per_length() {
         return Err(RenderError::NoPlace(kind.name()));
     }
     let look = WaterLook { scene, strength, water, cameras };

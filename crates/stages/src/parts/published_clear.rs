@@ -98,6 +98,8 @@ mod tests {
         assert!((mean(0) - 0.5).abs() < 5e-3, "{}", mean(0));
         let (first, last) = (shown.pixel(12, 0), shown.pixel(n - 12, 0));
         assert!(first.iter().all(|v| *v < 0.01) && last.iter().all(|v| *v > 0.99), "{first:?} {last:?}");
+        // A quarter of the ramp, between 1 % and 99 % of it.
+        assert!((shown.pixel(n / 4, 0)[1] - 0.245).abs() < 3e-3, "{:?}", shown.pixel(n / 4, 0));
         let grey = Image::filled(4, 4, 0.25);
         assert_eq!(PublishedClear::Balanced.shown(&grey), Some(grey));
     }
