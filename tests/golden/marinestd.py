@@ -77,6 +77,15 @@ def caustics(values, means, constants, sides, view):
     return {"shown": constants + light / real(C0), "squares": (light * light).mean()}
 
 
+def per_view(numbers, centers, axes, center, axis):
+    """Colour, attenuation and backscatter of the training view nearest by centre, and then by axis."""
+    far = ((centers - center) ** 2).sum(axis=1)
+    near = np.flatnonzero(far == far.min())
+    p, q, r = numbers[near[np.argmax(axes[near] @ axis)]]
+    ten = numbers.real.dtype.type(10)
+    return {"maps": np.stack([1 / (1 + np.exp(-p)), np.log(1 + np.exp(q)) / ten, np.log(1 + np.exp(r)) / ten])}
+
+
 def main(folder):
     rng = np.random.default_rng(622)
     tensors, meta, cases = {}, {}, {}
@@ -147,6 +156,25 @@ def main(folder):
         {"views": views, "view": 1, "sides": sides},
         ["shown", "squares"],
         "grids of 2, 3 and 4 nodes a side; centres inside and outside of the cube",
+    )
+    centers = rng.standard_normal((5, 3)).astype(np.float32)
+    centers[3] = centers[1]
+    axes = np.tile(np.float32([0, 0, 1]), (5, 1))
+    axes[1], axes[3] = [0.6, 0, 0.8], [0, -0.8, 0.6]
+    case(
+        "per_view",
+        per_view,
+        ["numbers"],
+        {
+            "numbers": rng.standard_normal((5, 3, 3)).astype(np.float32),
+            "centers": centers,
+            "axes": axes,
+            "center": (centers[1] + np.float32([0.125, -0.0625, 0])).astype(np.float32),
+            "axis": np.float32([0, -1, 0]),
+        },
+        {},
+        ["maps"],
+        "two views with one centre, of which the axis chooses one",
     )
     with open(f"{folder}/marinestd.json", "w") as file:
         info = {"cases": cases, "part": "marinestd", "tensors": meta, "title": "Parts of MarineSTD-GS"}

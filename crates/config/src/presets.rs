@@ -24,13 +24,14 @@ const PRESETS: &[(&str, &str)] = &[
     ("water-splatting", include_str!("presets/water-splatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),
     ("seasplat", include_str!("presets/seasplat.toml")),
+    ("marinestd-gs", include_str!("presets/marinestd-gs.toml")),
 ];
 
 /// The methods of the paper's tables that can be trained, in the order of its tables: presets on which
 /// another preset can stand.
-pub const METHODS: &[&str] = &["3dgs", "seasplat", "water-splatting", "plenodium", "3d-use"];
+pub const METHODS: &[&str] = &["3dgs", "seasplat", "water-splatting", "plenodium", "marinestd-gs", "3d-use"];
 /// Those that cannot be trained yet.
-const MISSING: &[&str] = &["3d-uir", "marinestd-gs"];
+const MISSING: &[&str] = &["3d-uir"];
 
 /// Further names of presets.
 const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];

@@ -8,7 +8,9 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, MediumSeasplat, Role};
+use crate::{
+    Coefficients, MediumError, MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumSeasplat, Role,
+};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -197,6 +199,8 @@ media! {
     /// Nine numbers for the whole scene, applied to the finished image at distances that are normalised in
     /// each view (SeaSplat's water).
     Seasplat(MediumSeasplat, Normalised) = "seasplat";
+    /// Free numbers of every training view (MarineSTD-GS's water). Other views have those of the nearest one.
+    PerView(MediumPerView, PerGaussian) = "per-view";
 }
 
 impl MediumKind {

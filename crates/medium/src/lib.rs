@@ -4,7 +4,8 @@
 //! colour at infinity `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`,
 //! `β_attn` (1 / scene unit), each per RGB channel. The compositor does the rest. Models are rows of one
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
-//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting).
+//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
+//! free numbers of every training view ([`MediumPerView`], as in MarineSTD-GS).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
 //! further row applies the water of [`MediumGlobal`] to the finished image, and [`MediumSeasplat`] is the
 //! water of SeaSplat itself.
@@ -18,6 +19,7 @@ mod global;
 mod kinds;
 mod medium;
 mod mlp;
+mod per_view;
 mod rbf;
 mod seasplat;
 mod tensors;
@@ -27,6 +29,7 @@ pub use global::MediumGlobal;
 pub use kinds::{MediumKind, MediumModel};
 pub use medium::{Anchors, Harmonics, MediumStart};
 pub use mlp::MediumMlp;
+pub use per_view::MediumPerView;
 pub use rbf::MediumRbf;
 pub use seasplat::MediumSeasplat;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
@@ -71,6 +74,9 @@ pub enum MediumError {
         /// First bad element.
         index: usize,
     },
+    /// Water of single views has no view.
+    #[error("the medium has no training views; expected one or more, each with its own water")]
+    Views,
     /// There are no anchors, or too many.
     #[error("the medium has {found} anchors; expected 1 to {most}")]
     Anchors {

@@ -5,7 +5,10 @@ use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, P
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, MediumSeasplat, directional};
+use crate::{
+    MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumPerView, MediumRbf, MediumSeasplat, MediumStart,
+    directional,
+};
 
 fn case_camera(case: &Case<'_>) -> Camera {
     let rotation = case.rotations()[0];
@@ -109,6 +112,59 @@ fn golden_nine_numbers() {
     }
 }
 
+#[test]
+fn golden_water_of_single_views() {
+    let part = Part::math("marinestd");
+    let case = part.cases().into_iter().find(|case| case.name() == "per_view").unwrap();
+    let numbers: Vec<[f32; 3]> = case.rows("in.numbers");
+    let model = MediumModel::PerView(MediumPerView {
+        centers: case.rows("in.centers"),
+        axes: case.rows("in.axes"),
+        numbers: numbers.as_chunks::<3>().0.to_vec(),
+    });
+    let at = |name: &str| DVec3::from_slice(&case.f64(name));
+    let mut camera = camera(&Stream::new(1, Purpose::new("one pixel"), 0), 4, 4);
+    let (eye, axis) = (at("in.center"), at("in.axis"));
+    camera.pose = Pose::look_at(eye, eye + axis, DVec3::Z);
+    let lattice = Lattice::subset(&[1], &[2]).unwrap();
+    let mut maps = MediumMaps::zeros(1, 1);
+    model.maps(&camera, &lattice, 0, &mut maps);
+    let images = [&maps.color, &maps.attenuation, &maps.backscatter];
+    case.check("out.maps", &images.map(|image| image.pixel(0, 0)).concat());
+    let [color, attenuation, backscatter] = case.rows::<3>("cot.maps")[..] else { panic!("three maps") };
+    let image = |values: [f32; 3]| Image::from_planes(1, 1, values.to_vec()).unwrap();
+    let d_maps = MediumMaps {
+        color: image(color),
+        backscatter: image(backscatter),
+        attenuation: image(attenuation),
+        formation: Formation::default(),
+    };
+    let mut gradient = model.zeros_like();
+    model.backward(&camera, &lattice, 0, &maps, &d_maps, &mut gradient);
+    case.check("grad.maps.numbers", &gradient.flat());
+}
+
+#[test]
+fn a_training_view_is_its_own_nearest_one_and_water_of_views_needs_views() {
+    let poses: Vec<Pose> =
+        (0..6).map(|k| camera(&Stream::new(k, Purpose::new("views"), 0), 4, 4).pose).collect();
+    let start = |views| MediumStart { anchors: 1, top_k: 1, seed: 0, views };
+    let mut model = MediumModel::start(MediumKind::PerView, &start(poses.clone())).unwrap();
+    let flat: Vec<f32> = (0..54).map(|i| (i / 9) as f32).collect();
+    assert!(model.set_flat(&flat));
+    let mut camera = camera(&Stream::new(0, Purpose::new("views"), 0), 4, 4);
+    let mut maps = MediumMaps::zeros(1, 1);
+    for (k, pose) in poses.into_iter().enumerate() {
+        camera.pose = pose;
+        model.maps(&camera, &Lattice::full(&camera.intrinsics), 0, &mut maps);
+        let expected = use3d_numerics::functions::scalar::sigmoid(k as f32);
+        assert!(maps.color.data().iter().all(|v| *v == expected), "view {k}");
+    }
+    let refused = MediumModel::start(MediumKind::PerView, &start(Vec::new())).unwrap_err().to_string();
+    assert!(refused.contains("no training views"), "{refused}");
+    assert!(MediumModel::from_tensors(MediumKind::PerView, 0, &crate::Tensors::new()).is_err());
+}
+
 fn camera(stream: &Stream, width: usize, height: usize) -> Camera {
     let n = |i: u64| stream.normal(900 + i);
     let eye = DVec3::new(n(0), n(1), n(2)) * 0.6;
@@ -152,6 +208,15 @@ fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
             coefficients: (0..5).map(|k| coefficients(1000 * k)).collect(),
             top_k: 3,
         }),
+        MediumKind::PerView => {
+            let views =
+                (0..4).map(|k| camera(&Stream::new(k, Purpose::new("views"), 0), 4, 4).pose).collect();
+            let start = MediumStart { anchors: 1, top_k: 1, seed: 0, views };
+            let mut model = MediumModel::start(kind, &start).unwrap();
+            let flat: Vec<f32> = (0..model.parameter_count()).map(|i| 0.7 * n(300 + i as u64)).collect();
+            assert!(model.set_flat(&flat));
+            model
+        }
         MediumKind::Mlp => {
             let mut network = MediumMlp::new(stream.bits(0));
             for b in network.biases.iter_mut().flatten() {
@@ -300,7 +365,7 @@ fn the_same_bits_on_any_number_of_threads() {
     let camera = camera(&stream, 70, 90);
     let lattice = Lattice::full(&camera.intrinsics);
     let d_maps = random_maps(&stream, 70, 90);
-    for kind in [MediumKind::Rbf, MediumKind::Mlp] {
+    for kind in [MediumKind::Rbf, MediumKind::Mlp, MediumKind::PerView] {
         let model = random_model(&stream, kind);
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

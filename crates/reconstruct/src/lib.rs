@@ -35,13 +35,13 @@ mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
-pub use colors::{ColorField, ColorRates, ColorRole, ColorState, ColorStep};
+pub use colors::{ColorField, ColorState, ColorStep};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate, ReconstructParams,
-    Strategy,
+    ColorRates, Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate,
+    ReconstructParams, Strategy,
 };
 pub use peek::scene_in_checkpoint;
 pub use per_view::ViewParameters;

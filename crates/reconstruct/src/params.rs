@@ -2,12 +2,13 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_capture::Camera;
 use use3d_medium::{MediumKind, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 use use3d_training::EngineChoice;
 
-use crate::colors::{ColorField, ColorRates};
+use crate::colors::ColorField;
 use crate::engine::GradientScale;
 use crate::{Priors, Turns};
 
@@ -95,6 +96,24 @@ impl Rate {
     /// The rate at `step` of `steps`.
     pub fn at(self, step: u64, steps: u64) -> f64 {
         use3d_numerics::adam::exponential_decay(self.0, self.1, step, steps)
+    }
+}
+
+/// Learning rates of the parameters of a colour field, first and last.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ColorRates {
+    /// Rate of the features of places.
+    pub grid: Rate,
+    /// Rate of the weights of networks.
+    pub network: Rate,
+    /// Rate of the numbers of views.
+    pub code: Rate,
+}
+
+impl Default for ColorRates {
+    fn default() -> Self {
+        Self { grid: Rate(1e-2, 1e-4), network: Rate(1e-3, 1.5e-4), code: Rate(2e-3, 2e-4) }
     }
 }
 
@@ -316,6 +335,8 @@ pub struct ReconstructParams {
     pub depth_gradient: bool,
     /// The comparison of a rendered view with its photograph.
     pub photometric: Photometric,
+    /// Share of the run, 0 to 1, for which errors are not relative to the rendered light.
+    pub plain_until: f64,
     /// Weight λ of its structure against its absolute error.
     pub structure_weight: f64,
     /// Degree of the Gaussians' and the water's spherical harmonics, 0 to 3.
@@ -392,6 +413,7 @@ impl Default for ReconstructParams {
             turns: Turns::default(),
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
+            plain_until: 0.0,
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
@@ -451,6 +473,7 @@ impl ReconstructParams {
                 return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
         }
+        share("plain_until", self.plain_until)?;
         share("structure_weight", self.structure_weight)?;
         share("initial_opacity", self.initial_opacity)?;
         positive("initial_opacity", self.initial_opacity)?;
@@ -524,8 +547,9 @@ impl ReconstructParams {
     }
 
     /// The settings from which the water's model starts.
-    pub(crate) fn medium_start(&self) -> MediumStart {
-        MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed }
+    pub(crate) fn medium_start(&self, cameras: &[Camera]) -> MediumStart {
+        let views = cameras.iter().map(|camera| camera.pose).collect();
+        MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed, views }
     }
 
     /// The steps that the schedules span.

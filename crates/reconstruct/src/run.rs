@@ -125,9 +125,10 @@ pub fn reconstruct(
     let views = load(capture, loader, params, observer)?;
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
+    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let water = match start {
         Some((_, model)) => model,
-        None => MediumModel::start(params.medium, &params.medium_start()).map_err(|wrong| {
+        None => MediumModel::start(params.medium, &params.medium_start(&cameras)).map_err(|wrong| {
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
@@ -139,7 +140,6 @@ pub fn reconstruct(
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
     let gains_used = exposes.then_some(&gains);
     let fingerprint = fingerprint(capture, found, gains_used, params, &views);
-    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {

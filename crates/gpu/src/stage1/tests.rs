@@ -67,7 +67,7 @@ fn views() -> Vec<TrainingView> {
 }
 
 fn state(n: usize, log_scale: f32) -> TrainingState {
-    let start = MediumStart { anchors: 5, top_k: 3, seed: 4 };
+    let start = MediumStart { anchors: 5, top_k: 3, seed: 4, views: Vec::new() };
     let mut water = MediumModel::start(MediumKind::Rbf, &start).unwrap();
     let stream = Stream::new(9, Purpose::new("water for an engine"), 0);
     let values: Vec<f32> = (0..).zip(water.flat()).map(|(i, v)| v + 0.05 * stream.normal(i) as f32).collect();

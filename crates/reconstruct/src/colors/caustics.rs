@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! h'_i = h_i + Δ_i / C₀            Δ = relu(W₂ relu(W₁ [φ(u_i), c_i, z_v] + b))         R = mean Δ²
-//! u = (s(x) + 2) / 4               s(x) = x inside the cube of half-side 1,  else (2 − 1/m) x/m,  m = max |x|
+//! u = (s(x) + 2) / 4               s(x) = x if m ≤ 1,  else (2 − 1/m) x/m          m = max |x|
 //! ```
 //!
 //! | symbol | meaning | shape |

@@ -24,8 +24,6 @@ use use3d_numerics::adam::Adam;
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
-use crate::{Rate, ReconstructParams};
-
 /// A change of the scene's colours from view to view.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -57,31 +55,13 @@ impl ColorField {
 
 /// The role of a parameter of a field, by which it gets its learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ColorRole {
+enum ColorRole {
     /// A feature of a place in the scene.
     Grid,
     /// A weight or bias of a network.
     Network,
     /// A number of a view.
     Code,
-}
-
-/// Learning rates of the parameters of a colour field, first and last.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ColorRates {
-    /// Rate of the features of places.
-    pub grid: Rate,
-    /// Rate of the weights of networks.
-    pub network: Rate,
-    /// Rate of the numbers of views.
-    pub code: Rate,
-}
-
-impl Default for ColorRates {
-    fn default() -> Self {
-        Self { grid: Rate(1e-2, 1e-4), network: Rate(1e-3, 1.5e-4), code: Rate(2e-3, 2e-4) }
-    }
 }
 
 /// The settings by which a colour field is learnt in a step.
@@ -94,18 +74,6 @@ pub struct ColorStep {
     /// True if the field is learnt beside the scene: Gaussians and water are learnt without it, and it
     /// changes neither.
     pub alone: bool,
-}
-
-impl ReconstructParams {
-    /// The settings of the colour field in a step; `None` without a field.
-    pub fn color_step(&self, step: u64) -> Option<ColorStep> {
-        let (course, rates) = (self.course(), &self.learning_rates.color_field);
-        (self.color_field != ColorField::Off).then(|| ColorStep {
-            rates: [rates.grid, rates.network, rates.code].map(|rate| rate.at(step, course)),
-            weight: self.color_weight,
-            alone: (step as f64) < self.color_alone * course as f64,
-        })
-    }
 }
 
 /// A kind of field: its code. Its parameters are in [`ColorState`].

@@ -21,15 +21,3 @@ fn a_field_goes_through_a_checkpoint_and_another_number_of_views_is_refused() {
     ColorState::default().check(7).unwrap();
     assert!(ColorState::default().is_off());
 }
-
-#[test]
-fn a_field_is_learnt_alone_for_its_share_of_the_run() {
-    let mut params = ReconstructParams { iterations: 900, schedule: 900, ..ReconstructParams::default() };
-    assert_eq!(params.color_step(0), None);
-    (params.color_field, params.color_alone) = (ColorField::Caustics, 1.0 / 3.0);
-    let alone = |step| params.color_step(step).map(|colors| colors.alone);
-    assert_eq!([0, 299, 300, 899].map(alone), [Some(true), Some(true), Some(false), Some(false)]);
-    let rates = params.color_step(0).unwrap().rates;
-    let expected = [1e-2, 1e-3, 2e-3];
-    assert!(rates.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{rates:?}");
-}

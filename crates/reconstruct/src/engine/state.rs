@@ -4,7 +4,7 @@
 //! another one.
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
-use use3d_medium::{MediumKind, MediumModel, MediumStart};
+use use3d_medium::{MediumKind, MediumModel, Tensor};
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
@@ -195,43 +195,38 @@ struct GaussianRows {
     sh: Vec<[[f32; 3]; 16]>,
 }
 
-/// The stored form of the water: its kind, the numbers that define its size, and its flat parameters.
+/// The stored form of the water: its kind and its tensors.
 mod water {
     use super::*;
 
     #[derive(Serialize, Deserialize)]
-    struct Flat {
+    struct Stored {
         kind: String,
-        anchors: usize,
         top_k: usize,
-        values: Vec<f32>,
+        tensors: Vec<(String, Vec<usize>, Vec<f32>)>,
     }
 
     pub(super) fn serialize<S: Serializer>(water: &MediumModel, serializer: S) -> Result<S::Ok, S::Error> {
-        let (anchors, top_k) = water.anchors().map_or((0, 0), |a| (a.centers.len(), a.top_k));
-        let kind = water.kind().name().to_string();
-        Flat { kind, anchors, top_k, values: water.flat() }.serialize(serializer)
+        let top_k = water.anchors().map_or(0, |anchors| anchors.top_k);
+        let tensors = water.to_tensors().into_iter();
+        let tensors = tensors.map(|(name, tensor)| (name, tensor.shape, tensor.values)).collect();
+        Stored { kind: water.kind().name().to_string(), top_k, tensors }.serialize(serializer)
     }
 
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<MediumModel, D::Error> {
         use serde::de::Error;
 
-        let Flat { kind, anchors, top_k, values } = Flat::deserialize(deserializer)?;
+        let Stored { kind, top_k, tensors } = Stored::deserialize(deserializer)?;
         let kind = MediumKind::from_name(&kind)
             .ok_or_else(|| D::Error::custom(format!("there is no water of kind `{kind}`")))?;
-        let start = MediumStart { anchors, top_k, seed: 0 };
-        let mut water = MediumModel::start(kind, &start).map_err(D::Error::custom)?;
-        if water.set_flat(&values) {
-            Ok(water)
-        } else {
-            Err(D::Error::custom(format!("{} parameters of the water", values.len())))
-        }
+        let tensors = tensors.into_iter().map(|(name, shape, values)| (name, Tensor { shape, values }));
+        MediumModel::from_tensors(kind, top_k, &tensors.collect()).map_err(D::Error::custom)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use use3d_medium::{MediumGlobal, MediumMlp, MediumRbf};
+    use use3d_medium::{MediumGlobal, MediumMlp, MediumPerView, MediumRbf};
 
     use super::*;
 
@@ -264,8 +259,11 @@ mod tests {
         let file = use3d_training::CheckpointFile::new(dir.path(), "state");
         let mut rbf = MediumRbf::new(5, 3);
         rbf.log_widths[4] = 0.125;
+        let numbers = vec![[[0.5; 3], [-1.0; 3], [2.0; 3]]; 2];
+        let (centers, axes) = (vec![[1.0, 2.0, 3.0]; 2], vec![[0.0, 0.6, 0.8]; 2]);
         let waters = [
             MediumModel::None,
+            MediumModel::PerView(MediumPerView { centers, axes, numbers }),
             MediumModel::Global(MediumGlobal::default()),
             MediumModel::Rbf(rbf),
             MediumModel::Mlp(MediumMlp::new(9)),

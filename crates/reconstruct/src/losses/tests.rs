@@ -260,7 +260,10 @@ fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
     assert_eq!(named(&params, params.densify_end()), ["reg_l1", "reg_ms_ssim", "depth_loss"]);
     (params.depth_prior, params.photometric) = (DepthPrior::Off, Photometric::RegSsim);
     assert_eq!(named(&params, 0), ["relative_l1", "relative_ssim"]);
-    params.photometric = Photometric::Ssim;
+    params.plain_until = 0.1;
+    assert_eq!(named(&params, params.course() / 10 - 1), ["plain_l1", "plain_ssim"]);
+    assert_eq!(named(&params, params.course() / 10), ["relative_l1", "relative_ssim"]);
+    (params.photometric, params.plain_until) = (Photometric::Ssim, 0.0);
     assert_eq!(named(&params, 0), ["plain_l1", "plain_ssim"]);
 }
 

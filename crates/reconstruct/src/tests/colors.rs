@@ -3,9 +3,11 @@
 use super::*;
 use crate::{ColorField, ColorState, ColorStep};
 
+/// The parts of MarineSTD-GS: caustics, learnt alone at first, and water of single views.
 fn bright(mut params: ReconstructParams) -> ReconstructParams {
-    params.color_field = ColorField::Caustics;
-    params.color_alone = 0.4;
+    (params.color_field, params.color_alone) = (ColorField::Caustics, 0.4);
+    (params.medium, params.medium_prior) = (Medium::PerView, MediumPrior::Off);
+    (params.smoothness_weight, params.smoothness_by_prior) = (0.01, true);
     params
 }
 
@@ -104,6 +106,8 @@ fn a_run_with_a_field_is_the_same_on_any_number_of_threads_and_after_an_interrup
     let stop = &mut StoppingObserver { stop_at: Some(23), ..StoppingObserver::default() };
     assert!(on(2, Some(dir.path()), stop).is_err());
     assert!(same(&whole, &on(2, Some(dir.path()), &mut StoppingObserver::default()).unwrap()));
+    let MediumModel::PerView(water) = &whole.scene.medium else { panic!("each view has its own water") };
+    assert!(water.centers.len() == capture.split.train.len() && water.numbers[0] != water.numbers[1]);
     // Without a field the colours differ.
     let plain = ReconstructParams { color_field: ColorField::Off, ..params.clone() };
     let plain = reconstruct(&capture, &loader(&loaded), &plain, None, &mut StoppingObserver::default());
