@@ -12,6 +12,7 @@
 //! the scene, and the coefficients are zero. With any other degree the whole model holds.
 
 use use3d_capture::{Camera, Formation, Image, Lattice, MediumMaps};
+use use3d_numerics::functions::scalar::sigmoid;
 use use3d_numerics::math;
 use use3d_numerics::sums::sum;
 
@@ -27,10 +28,6 @@ const NAMES: [&str; 3] = ["far", "backscatter", "attenuation"];
 pub struct MediumSeasplat {
     /// The numbers `v`, `b` and `a`, each RGB.
     pub numbers: [[f32; 3]; 3],
-}
-
-fn sigmoid(x: f32) -> f32 {
-    (1.0 / (1.0 + math::exp(-f64::from(x)))) as f32
 }
 
 impl Default for MediumSeasplat {
