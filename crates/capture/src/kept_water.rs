@@ -44,7 +44,8 @@ impl KeptWater {
         Self(self.0.map(|k| 1.0 - strength * (1.0 - k)))
     }
 
-    /// Multiplies both coefficients of `maps`, and the share of a network. Changes no bit if no water is removed.
+    /// Multiplies both coefficients of `maps`, and the share of a network. Changes no bit if no water is
+    /// removed.
     pub fn thin(&self, maps: &mut MediumMaps) {
         if self.is_all() {
             return;

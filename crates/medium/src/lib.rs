@@ -7,8 +7,8 @@
 //! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
 //! free numbers of every training view ([`MediumPerView`], as in MarineSTD-GS).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
-//! further row applies the water of [`MediumGlobal`] to the finished image. [`MediumSeasplat`] is the water of
-//! SeaSplat itself, and [`MediumUir`] that of 3D-UIR.
+//! further row applies the water of [`MediumGlobal`] to the finished image. [`MediumSeasplat`] is the water
+//! of SeaSplat itself, and [`MediumUir`] that of 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]

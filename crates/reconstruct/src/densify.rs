@@ -43,8 +43,8 @@ pub struct Densify {
     pub until: f64,
     /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
     pub gradient_threshold: f64,
-    /// With the strategy `3dgs`, the mean absolute screen gradient above which large Gaussians are split; small
-    /// ones are still duplicated by `gradient_threshold`. 0: it decides on both.
+    /// With the strategy `3dgs`, the mean absolute screen gradient above which large Gaussians are split.
+    /// Small ones are still duplicated by `gradient_threshold`. 0: that one decides on both.
     pub split_threshold: f64,
     /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). For
     /// other images screen gradients are multiplied by (pixels / this) to the power of `size_exponent`. 0:

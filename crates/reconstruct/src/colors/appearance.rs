@@ -11,8 +11,8 @@
 //! | z | code of the view; their mean for views that are not trained, and for the scene at the end | 16 |
 //! | W₁, b₁, W₂, b₂ | weights of the network | 32 × 19, 32, 6 × 32, 6 |
 //!
-//! Values lie in the order W₁ over c, W₁ over z, b₁, W₂, b₂, codes. W₂ starts at zero, so all views begin with
-//! the scene's own colours.
+//! Values lie in the order W₁ over c, W₁ over z, b₁, W₂, b₂, codes. W₂ starts at zero, so all views begin
+//! with the scene's own colours.
 
 use rayon::prelude::*;
 use use3d_numerics::functions::scalar::sigmoid;
@@ -34,7 +34,7 @@ const STARTS: [usize; 5] = {
 const CHUNK: usize = 1024;
 
 /// The field. Its parameters lie outside.
-pub(super) struct Appearance;
+pub(super) struct AppearanceNetwork;
 
 /// The network for one view.
 struct Seen<'a> {
@@ -78,14 +78,14 @@ fn color(constant: [f32; 3]) -> [f32; 3] {
 
 /// The gradient of a task: W₁ over c, the hidden units' offsets, W₂ and b₂.
 #[derive(Clone)]
-struct Sums {
+struct NetworkSums {
     inner: [f32; 3 * HIDDEN],
     offset: [f32; HIDDEN],
     outer: [f32; OUTPUTS * HIDDEN],
     bias: [f32; OUTPUTS],
 }
 
-impl Sums {
+impl NetworkSums {
     /// Adds a Gaussian with the gradient of its shown coefficients, which becomes that of its own.
     #[inline(always)]
     fn add(&mut self, seen: &Seen<'_>, constant: [f32; 3], d: &mut [f32; 3]) {
@@ -114,7 +114,7 @@ impl Sums {
     }
 }
 
-impl ColorModel for Appearance {
+impl ColorModel for AppearanceNetwork {
     fn groups(&self, views: usize) -> Vec<(ColorRole, usize)> {
         vec![(ColorRole::Network, STARTS[4]), (ColorRole::Code, views * CODE)]
     }
@@ -162,10 +162,10 @@ impl ColorModel for Appearance {
         let [code, bias, outer, last, codes] = STARTS;
         let z = codes + view * CODE..codes + (view + 1) * CODE;
         let seen = Seen::new(values, &values[z.clone()]);
-        let tasks: Vec<Sums> = (constants.par_chunks(CHUNK))
+        let tasks: Vec<NetworkSums> = (constants.par_chunks(CHUNK))
             .zip(d_sh.par_chunks_mut(CHUNK))
             .map(|(constants, d_sh)| {
-                let mut sums = Sums {
+                let mut sums = NetworkSums {
                     inner: [0.0; 3 * HIDDEN],
                     offset: [0.0; HIDDEN],
                     outer: [0.0; OUTPUTS * HIDDEN],
@@ -208,18 +208,18 @@ mod tests {
         let case = part.cases().into_iter().find(|case| case.name() == "appearance").unwrap();
         let (values, view) = (case.f32("in.values"), case.count("view"));
         let constants: Vec<[f32; 3]> = case.rows("in.constants");
-        let count: usize = Appearance.groups(case.count("views")).iter().map(|(_, count)| count).sum();
+        let count: usize = AppearanceNetwork.groups(case.count("views")).iter().map(|(_, count)| count).sum();
         assert_eq!(count, values.len());
         let (mut shown, mut mean) = (constants.clone(), constants.clone());
-        Appearance.show(&values, Some(view), &[], &mut shown);
-        Appearance.show(&values, None, &[], &mut mean);
+        AppearanceNetwork.show(&values, Some(view), &[], &mut shown);
+        AppearanceNetwork.show(&values, None, &[], &mut mean);
         case.check("out.shown", shown.as_flattened());
         case.check("out.mean", mean.as_flattened());
         let mut d_sh = vec![[[0.0; 3]; 16]; constants.len()];
         let d: Vec<[f32; 3]> = case.rows("cot.shown");
         d_sh.iter_mut().zip(d).for_each(|(sh, d)| sh[0] = d);
         let mut gradient = vec![0.0; values.len()];
-        Appearance.backward(&values, view, &[], &constants, 0.0, &mut d_sh, &mut gradient);
+        AppearanceNetwork.backward(&values, view, &[], &constants, 0.0, &mut d_sh, &mut gradient);
         case.check("grad.shown.values", &gradient);
         let d_constants: Vec<f32> = d_sh.iter().flat_map(|sh| sh[0]).collect();
         case.check("grad.shown.constants", &d_constants);
@@ -233,10 +233,10 @@ mod tests {
             (0..n).map(|i| [0, 1, 2].map(|c| stream.normal(from + 3 * i + c) as f32)).collect()
         };
         let (constants, d) = (rows(0), rows(10_000));
-        let mut values = Appearance.start(3, 4);
+        let mut values = AppearanceNetwork.start(3, 4);
         let show = |values: &[f32], constants: &[[f32; 3]]| {
             let mut shown = constants.to_vec();
-            Appearance.show(values, Some(1), &[], &mut shown);
+            AppearanceNetwork.show(values, Some(1), &[], &mut shown);
             shown
         };
         assert_eq!(show(&values, &constants), constants);
@@ -249,7 +249,7 @@ mod tests {
         let mut d_sh = vec![[[0.0; 3]; 16]; n as usize];
         d_sh.iter_mut().zip(&d).for_each(|(sh, d)| sh[0] = *d);
         let mut gradient = vec![0.0; values.len()];
-        Appearance.backward(&values, 1, &[], &constants, 0.0, &mut d_sh, &mut gradient);
+        AppearanceNetwork.backward(&values, 1, &[], &constants, 0.0, &mut d_sh, &mut gradient);
         let close = |what: &str, numeric: f64, norm: f64| {
             assert!((numeric / norm - 1.0).abs() < 5e-3, "{what}: {numeric} {norm}");
         };

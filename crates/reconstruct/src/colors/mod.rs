@@ -44,7 +44,7 @@ impl ColorField {
         match self {
             Self::Off => None,
             Self::Caustics => Some(&caustics::CAUSTICS),
-            Self::Appearance => Some(&appearance::Appearance),
+            Self::Appearance => Some(&appearance::AppearanceNetwork),
         }
     }
 

@@ -27,14 +27,13 @@ mod state;
 use std::borrow::Cow;
 
 use use3d_capture::{Camera, Image};
-use use3d_numerics::math;
 use use3d_splat::Gaussians;
 use use3d_training::{Drain, EngineError, Profile};
 
 pub use cpu::CpuEngine;
 #[cfg(test)]
 pub(crate) use state::zeros;
-pub use state::{Moments, Statistics, TrainingState};
+pub use state::{GradientScale, Moments, Statistics, TrainingState};
 
 use crate::colors::ColorStep;
 use crate::density::{Draws, Origin, Survey};
@@ -116,29 +115,6 @@ pub struct StepPlan {
     pub colors: Option<ColorStep>,
     /// The scale of screen gradients for the size of the images; `None` if none are gathered.
     pub gather: Option<GradientScale>,
-}
-
-/// The scale of screen gradients for the size of the images: `(pixels / reference_pixels)^exponent`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GradientScale {
-    /// Number of pixels for which the threshold of density control is meant; 0: the scale is always 1.
-    pub reference_pixels: u64,
-    /// Its exponent, 0 to 1.
-    pub exponent: f64,
-    /// True if opposite gradients of a Gaussian cancel and radii are kept; else absolute values are summed.
-    pub signed: bool,
-    /// True if absolute values are summed beside signed ones.
-    pub both: bool,
-}
-
-impl GradientScale {
-    /// The scale for an image with this many pixels.
-    pub fn at(&self, pixels: f64) -> f32 {
-        match self.reference_pixels {
-            0 => 1.0,
-            reference => math::powf(pixels / reference as f64, self.exponent) as f32,
-        }
-    }
 }
 
 /// The result of a step.

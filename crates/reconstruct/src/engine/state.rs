@@ -5,10 +5,10 @@
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use use3d_medium::{MediumKind, MediumModel, Tensor};
+use use3d_numerics::math;
 use use3d_splat::{GaussianGradients, Gaussians};
 use use3d_training::EngineError;
 
-use super::GradientScale;
 use crate::colors::ColorState;
 use crate::density::Origin;
 use crate::exposure::Exposures;
@@ -47,6 +47,29 @@ impl Moments {
             to
         };
         Self { first: of(&self.first), second: of(&self.second) }
+    }
+}
+
+/// The scale of screen gradients for the size of the images: `(pixels / reference_pixels)^exponent`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct GradientScale {
+    /// Number of pixels for which the threshold of density control is meant; 0: the scale is always 1.
+    pub reference_pixels: u64,
+    /// Its exponent, 0 to 1.
+    pub exponent: f64,
+    /// True if opposite gradients of a Gaussian cancel and radii are kept; else absolute values are summed.
+    pub signed: bool,
+    /// True if absolute values are summed beside signed ones.
+    pub both: bool,
+}
+
+impl GradientScale {
+    /// The scale for an image with this many pixels.
+    pub fn at(&self, pixels: f64) -> f32 {
+        match self.reference_pixels {
+            0 => 1.0,
+            reference => math::powf(pixels / reference as f64, self.exponent) as f32,
+        }
     }
 }
 

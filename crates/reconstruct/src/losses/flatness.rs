@@ -10,7 +10,7 @@ use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 
 /// The row of the term.
 pub(super) const TERM: LossTerm = LossTerm {
-    values: &[LossValue { name: "flatness", weight: |params, _| params.flatness_weight }],
+    values: &[LossValue { name: "smallest_scale", weight: |params, _| params.flatness_weight }],
     term: || Box::new(Flatness),
 };
 

@@ -19,7 +19,7 @@ use crate::{DepthPrior, ReconstructParams};
 /// The row of both terms.
 pub(super) const TERM: LossTerm = LossTerm {
     values: &[
-        LossValue { name: "inverse_depth", weight: prior_weight },
+        LossValue { name: "inverse_depth_l1", weight: prior_weight },
         LossValue { name: "depth_variation", weight: variation_weight },
     ],
     term: || Box::new(InverseDepth::default()),

@@ -119,7 +119,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
     }
 
     // A term of the Gaussians' sizes reaches them alone.
-    let flatness = crate::losses::TERMS.iter().find(|row| row.values[0].name == "flatness").unwrap();
+    let flatness = crate::losses::TERMS.iter().find(|row| row.values[0].name == "smallest_scale").unwrap();
     let mut sized = engine(&[*flatness]);
     sized.load(state.clone()).unwrap();
     sized.differentiate(0, &StepPlan { weights: vec![40.0], ..plan.clone() }).unwrap();

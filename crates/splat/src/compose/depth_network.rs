@@ -1,7 +1,7 @@
 //! Water as a network of the inverse depth, applied to a composed image: the formation of 3D-UIR.
 //!
-//! The Gaussians are composed without water, to light `J`, expected depth `D` and opacity `A` of a pixel. With
-//! the numbers of a [`DepthNetwork`] and its share `ρ` of the water, per channel:
+//! The Gaussians are composed without water, to light `J`, expected depth `D` and opacity `A` of a pixel.
+//! With the numbers of a [`DepthNetwork`] and its share `ρ` of the water, per channel:
 //!
 //! ```text
 //! q = A / D, 0 if D ≤ 1e-6         z = 1 / (q + 1e-5)
@@ -11,15 +11,15 @@
 //!
 //! A ray that hits nothing shows open water, `c_m`. With `g = ρ ∂I`, `t = g J a (1 − a) u (1 − u)` and
 //! `τ_j = h_j (1 − h_j) Σ V_j t` the derivatives are (sums over channels, and over pixels for numbers)
-//! `∂J = ∂I (1 + ρ (a − 1))`, `∂o = t`, `∂V_j = h_j t`, `∂w_j = q τ_j`, `∂b_j = τ_j`, `∂c_m = g (1 − e^{−k z})`,
-//! `∂k = g c_m z e^{−k z}`, `∂R = g e^{−r z}`, `∂r = −g R z e^{−r z}`,
+//! `∂J = ∂I (1 + ρ (a − 1))`, `∂o = t`, `∂V_j = h_j t`, `∂w_j = q τ_j`, `∂b_j = τ_j`,
+//! `∂c_m = g (1 − e^{−k z})`, `∂k = g c_m z e^{−k z}`, `∂R = g e^{−r z}`, `∂r = −g R z e^{−r z}`,
 //! `∂q = Σ_j w_j τ_j − z² Σ g (c_m k e^{−k z} − R r e^{−r z})`, `∂A = ∂q / D` and `∂D = −∂q q / D`.
 
 use use3d_capture::{DEPTH_UNITS, DepthNetwork, Image, Map};
 use use3d_numerics::lanes::{exp, sum};
 
+use super::laid_over::Read;
 use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes};
-use super::per_image::Read;
 use super::pixels::{each, get, put};
 use super::strips::{PerRow, PlanesMut};
 use super::tile::Lanes;
@@ -37,7 +37,7 @@ fn sigmoid(x: f32) -> f32 {
 }
 
 /// One row of a tile: the values of the formula for sixteen pixels that are the same in all channels.
-struct Surface {
+struct DepthPixels {
     accumulation: Lanes,
     depth: Lanes,
     inverse: Lanes,
@@ -46,7 +46,7 @@ struct Surface {
 }
 
 /// One row of a tile: the values of the formula that belong to one channel.
-struct Channel {
+struct ChannelPixels {
     light: Lanes,
     color: Lanes,
     /// `u` and `a`.
@@ -58,7 +58,7 @@ struct Channel {
 }
 
 #[inline(always)]
-fn surface(read: &Read<'_>, network: &DepthNetwork, y: usize, x: usize, n: usize) -> Surface {
+fn surface(read: &Read<'_>, network: &DepthNetwork, y: usize, x: usize, n: usize) -> DepthPixels {
     let accumulation = get(read.composed.accumulation.row(0, y), x, n);
     let depth = get(read.composed.depth.row(0, y), x, n);
     let inverse = each(|l| if depth[l] > NEAREST { accumulation[l] / depth[l] } else { 0.0 });
@@ -66,7 +66,7 @@ fn surface(read: &Read<'_>, network: &DepthNetwork, y: usize, x: usize, n: usize
     for ((h, slope), bias) in hidden.iter_mut().zip(&network.slopes).zip(&network.biases) {
         *h = each(|l| sigmoid(slope.mul_add(inverse[l], *bias)));
     }
-    Surface { accumulation, depth, inverse, distance: each(|l| 1.0 / (inverse[l] + FARTHEST)), hidden }
+    DepthPixels { accumulation, depth, inverse, distance: each(|l| 1.0 / (inverse[l] + FARTHEST)), hidden }
 }
 
 #[inline(always)]
@@ -75,8 +75,8 @@ fn channel(
     network: &DepthNetwork,
     c: usize,
     (y, x, n): (usize, usize, usize),
-    surface: &Surface,
-) -> Channel {
+    surface: &DepthPixels,
+) -> ChannelPixels {
     let pixels = |image: &Image| get(image.row(c, y), x, n);
     let mut raw = [network.offsets[c]; TILE];
     for (h, output) in surface.hidden.iter().zip(&network.outputs) {
@@ -84,7 +84,7 @@ fn channel(
     }
     let inner = each(|l| sigmoid(raw[l]));
     let fading = |rate: f32| each(|l| exp(-(rate * surface.distance[l])));
-    Channel {
+    ChannelPixels {
         light: pixels(&read.composed.image),
         color: pixels(&read.water.color),
         object: each(|l| sigmoid(inner[l])),
@@ -106,7 +106,7 @@ pub(super) fn form_row(
         let (x, n) = (columns.start, columns.len());
         let surface = surface(&read, network, y, x, n);
         for c in 0..3 {
-            let Channel { light, color, object: a, veil, residual, .. } =
+            let ChannelPixels { light, color, object: a, veil, residual, .. } =
                 channel(&read, network, c, (y, x, n), &surface);
             let (share, glow) = (network.share[c], network.residual[c]);
             let shown = each(|l| light[l] * share.mul_add(a[l] - 1.0, 1.0));
@@ -123,8 +123,8 @@ pub(super) fn form_row(
     });
 }
 
-/// Sums over the pixels of a row of tiles: a [`DepthNetwork`] of lanes.
-struct Sums {
+/// LaneSums over the pixels of a row of tiles: a [`DepthNetwork`] of lanes.
+struct LaneSums {
     veil: [Lanes; 3],
     residual: [Lanes; 3],
     residual_rate: [Lanes; 3],
@@ -134,7 +134,7 @@ struct Sums {
     offsets: [Lanes; 3],
 }
 
-impl Sums {
+impl LaneSums {
     fn new() -> Self {
         let (three, units) = ([[0.0; TILE]; 3], [[0.0; TILE]; DEPTH_UNITS]);
         Self {
@@ -182,16 +182,16 @@ pub(super) fn differentiate_row(
     (d_rendered, options): (&RenderGradients<'_>, &Options),
     (mut d_images, (mut d_water, d_network)): Derived<'_>,
 ) {
-    let mut sums = Sums::new();
+    let mut sums = LaneSums::new();
     read.for_each(row, |y, r, _, columns| {
         let (x, n) = (columns.start, columns.len());
         let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
         let surface = surface(&read, network, y, x, n);
-        let Surface { depth, inverse: q, distance: z, hidden, .. } = &surface;
+        let DepthPixels { depth, inverse: q, distance: z, hidden, .. } = &surface;
         let mut d_hidden = [[0.0; TILE]; DEPTH_UNITS];
         let mut d_distance = [0.0; TILE];
         for c in 0..3 {
-            let Channel { light, color, inner, object: a, veil, residual } =
+            let ChannelPixels { light, color, inner, object: a, veil, residual } =
                 channel(&read, network, c, (y, x, n), &surface);
             let (share, glow) = (network.share[c], network.residual[c]);
             let d_pixel = get(d_rendered.image.row(c, y), x, n);

@@ -9,6 +9,7 @@
 mod depth_network;
 mod groups;
 mod inputs;
+mod laid_over;
 mod lanes;
 mod linear;
 mod normalised;

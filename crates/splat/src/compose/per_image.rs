@@ -18,14 +18,12 @@
 //! Distances that are normalised per view take the place of `s` in the same formula, with `A = 1`:
 //! [`DepthRange`] has them. The image is then clamped to `[0, 1]`, and a clamped value has no derivative.
 
-use std::ops::Range;
-
 use fearless_simd::dispatch;
-use use3d_capture::{DepthNetwork, Formation, Image, Map, MediumMaps};
+use use3d_capture::{DepthNetwork, Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp;
 
 use super::depth_network;
-use super::normalised::DepthRange;
+use super::laid_over::Read;
 use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, image_planes, layer_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
@@ -68,36 +66,7 @@ struct Channel {
     veil: Lanes,
 }
 
-/// The inputs of both directions.
-#[derive(Clone, Copy)]
-pub(super) struct Read<'a> {
-    prepared: &'a Prepared,
-    pub(super) water: &'a MediumMaps,
-    pub(super) composed: &'a Rendered,
-    /// The range of depths by which distances are normalised.
-    range: Option<DepthRange>,
-}
-
-impl<'a> Read<'a> {
-    fn new(prepared: &'a Prepared, water: &'a MediumMaps, composed: &'a Rendered) -> Self {
-        let range = (water.formation == Formation::Normalised)
-            .then(|| DepthRange::of(&composed.depth, &composed.accumulation));
-        Self { prepared, water, composed, range }
-    }
-
-    /// Calls `work` for every part of a pixel row that lies in one tile, over the tile row `row`. Its
-    /// arguments are the pixel row in the view, the pixel row in the strip, the tile's column, and the
-    /// range of pixel columns.
-    #[inline(always)]
-    pub(super) fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
-        for r in 0..self.prepared.rows.filled(row) {
-            for column in 0..self.prepared.columns.tiles() {
-                let x = column * TILE;
-                work(row * TILE + r, r, column, x..x + self.prepared.columns.filled(column));
-            }
-        }
-    }
-
+impl Read<'_> {
     #[inline(always)]
     fn surface(&self, y: usize, column: usize, n: usize) -> Surface {
         let x = column * TILE;
