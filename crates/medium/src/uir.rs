@@ -98,7 +98,7 @@ impl MediumUir {
 /// `W x + b`.
 fn apply((weights, biases): &(Vec<f32>, Vec<f32>), x: &[f32]) -> Vec<f32> {
     let rows = weights.chunks_exact(x.len()).zip(biases);
-    rows.map(|(row, b)| row.iter().zip(x).fold(*b, |sum, (w, x)| w.mul_add(*x, sum))).collect()
+    rows.map(|(row, b)| row.iter().zip(x).fold(*b, |sum, (w, x)| sum + w * x)).collect()
 }
 
 /// Adds the gradient of [`apply`] to `into`; returns that with respect to `x`.

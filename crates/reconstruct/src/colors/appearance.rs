@@ -50,7 +50,7 @@ impl<'a> Seen<'a> {
         let [code, bias, outer, last, codes] = STARTS;
         let offset = std::array::from_fn(|j| {
             let row = values[code + j * CODE..][..CODE].iter().zip(z);
-            row.fold(values[bias + j], |sum, (w, z)| w.mul_add(*z, sum))
+            row.fold(values[bias + j], |sum, (w, z)| sum + w * z)
         });
         Self { inner: &values[..code], offset, outer: &values[outer..last], bias: &values[last..codes] }
     }
@@ -60,11 +60,11 @@ impl<'a> Seen<'a> {
     fn change(&self, color: [f32; 3]) -> ([f32; HIDDEN], [f32; OUTPUTS]) {
         let mut hidden = self.offset;
         for (h, row) in hidden.iter_mut().zip(self.inner.chunks_exact(3)) {
-            *h = sigmoid(row.iter().zip(color).fold(*h, |sum, (w, c)| w.mul_add(c, sum)));
+            *h = sigmoid(row.iter().zip(color).fold(*h, |sum, (w, c)| sum + w * c));
         }
         let mut out = [0.0; OUTPUTS];
         for ((out, row), bias) in out.iter_mut().zip(self.outer.chunks_exact(HIDDEN)).zip(self.bias) {
-            *out = row.iter().zip(&hidden).fold(*bias, |sum, (w, h)| w.mul_add(*h, sum));
+            *out = row.iter().zip(&hidden).fold(*bias, |sum, (w, h)| sum + w * h);
         }
         (hidden, out)
     }
@@ -73,7 +73,7 @@ impl<'a> Seen<'a> {
 /// The colour of constant coefficients.
 #[inline(always)]
 fn color(constant: [f32; 3]) -> [f32; 3] {
-    constant.map(|h| C0.mul_add(h, 0.5))
+    constant.map(|h| C0 * h + 0.5)
 }
 
 /// The gradient of a task: W₁ over c, the hidden units' offsets, W₂ and b₂.
@@ -145,7 +145,7 @@ impl ColorModel for AppearanceNetwork {
         constants.par_iter_mut().with_min_len(CHUNK).for_each(|constant| {
             let color = color(*constant);
             let (_, out) = seen.change(color);
-            *constant = std::array::from_fn(|c| constant[c] + color[c].mul_add(out[c], out[3 + c]) / C0);
+            *constant = std::array::from_fn(|c| constant[c] + (color[c] * out[c] + out[3 + c]) / C0);
         });
     }
 

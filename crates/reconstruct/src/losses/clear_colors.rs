@@ -58,7 +58,7 @@ impl ClearColors {
             values[1] += off * off / 3.0;
             let scale = (2.0 * weights[0] / count) as f32;
             let grey = (2.0 * weights[1] * off / count) as f32;
-            gradient.par_iter_mut().zip(plane).for_each(|(g, v)| *g = scale.mul_add(outside(*v), grey));
+            gradient.par_iter_mut().zip(plane).for_each(|(g, v)| *g = scale * outside(*v) + grey);
         }
         values
     }

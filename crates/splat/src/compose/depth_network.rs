@@ -102,25 +102,29 @@ pub(super) fn form_row(
     row: usize,
     (mut image, mut layers): (PlanesMut<'_, f32, 3>, LayerPlanes<'_>),
 ) {
-    read.for_each(row, |y, r, _, columns| {
-        let (x, n) = (columns.start, columns.len());
-        let surface = surface(&read, network, y, x, n);
-        for c in 0..3 {
-            let ChannelPixels { light, color, object: a, veil, residual, .. } =
-                channel(&read, network, c, (y, x, n), &surface);
-            let (share, glow) = (network.share[c], network.residual[c]);
-            let shown = each(|l| light[l] * share.mul_add(a[l] - 1.0, 1.0));
-            let water = each(|l| share * color[l].mul_add(1.0 - veil[l], glow * residual[l]));
-            put(image.row(c, r, columns.clone()), &each(|l| shown[l] + water[l]));
-            if layers.present() {
-                let behind = each(|l| (1.0 - surface.accumulation[l]) * water[l]);
-                let medium = each(|l| water[l] - behind[l]);
-                for (k, lanes) in [shown, medium, behind].iter().enumerate() {
-                    put(layers.row(3 * k + c, r, columns.clone()), lanes);
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, _, columns| {
+            let (x, n) = (columns.start, columns.len());
+            let surface = surface(&read, network, y, x, n);
+            for c in 0..3 {
+                let ChannelPixels { light, color, object: a, veil, residual, .. } =
+                    channel(&read, network, c, (y, x, n), &surface);
+                let (share, glow) = (network.share[c], network.residual[c]);
+                let shown = each(|l| light[l] * share.mul_add(a[l] - 1.0, 1.0));
+                let water = each(|l| share * color[l].mul_add(1.0 - veil[l], glow * residual[l]));
+                put(image.row(c, r, columns.clone()), &each(|l| shown[l] + water[l]));
+                if layers.present() {
+                    let behind = each(|l| (1.0 - surface.accumulation[l]) * water[l]);
+                    let medium = each(|l| water[l] - behind[l]);
+                    for (k, lanes) in [shown, medium, behind].iter().enumerate() {
+                        put(layers.row(3 * k + c, r, columns.clone()), lanes);
+                    }
                 }
             }
-        }
-    });
+        },
+    );
 }
 
 /// LaneSums over the pixels of a row of tiles: a [`DepthNetwork`] of lanes.
@@ -183,60 +187,64 @@ pub(super) fn differentiate_row(
     (mut d_images, (mut d_water, d_network)): Derived<'_>,
 ) {
     let mut sums = LaneSums::new();
-    read.for_each(row, |y, r, _, columns| {
-        let (x, n) = (columns.start, columns.len());
-        let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
-        let surface = surface(&read, network, y, x, n);
-        let DepthPixels { depth, inverse: q, distance: z, hidden, .. } = &surface;
-        let mut d_hidden = [[0.0; TILE]; DEPTH_UNITS];
-        let mut d_distance = [0.0; TILE];
-        for c in 0..3 {
-            let ChannelPixels { light, color, inner, object: a, veil, residual } =
-                channel(&read, network, c, (y, x, n), &surface);
-            let (share, glow) = (network.share[c], network.residual[c]);
-            let d_pixel = get(d_rendered.image.row(c, y), x, n);
-            let shown = each(|l| d_pixel[l] * share.mul_add(a[l] - 1.0, 1.0));
-            put(d_images.row(c, r, columns.clone()), &shown);
-            // Lanes beyond the row's end repeat its last pixel, which counts once.
-            let g = each(|l| if l < n { share * d_pixel[l] } else { 0.0 });
-            let d_raw = each(|l| g[l] * light[l] * (a[l] * (1.0 - a[l])) * (inner[l] * (1.0 - inner[l])));
-            sums.offsets[c] = each(|l| sums.offsets[c][l] + d_raw[l]);
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, _, columns| {
+            let (x, n) = (columns.start, columns.len());
+            let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
+            let surface = surface(&read, network, y, x, n);
+            let DepthPixels { depth, inverse: q, distance: z, hidden, .. } = &surface;
+            let mut d_hidden = [[0.0; TILE]; DEPTH_UNITS];
+            let mut d_distance = [0.0; TILE];
+            for c in 0..3 {
+                let ChannelPixels { light, color, inner, object: a, veil, residual } =
+                    channel(&read, network, c, (y, x, n), &surface);
+                let (share, glow) = (network.share[c], network.residual[c]);
+                let d_pixel = get(d_rendered.image.row(c, y), x, n);
+                let shown = each(|l| d_pixel[l] * share.mul_add(a[l] - 1.0, 1.0));
+                put(d_images.row(c, r, columns.clone()), &shown);
+                // Lanes beyond the row's end repeat its last pixel, which counts once.
+                let g = each(|l| if l < n { share * d_pixel[l] } else { 0.0 });
+                let d_raw = each(|l| g[l] * light[l] * (a[l] * (1.0 - a[l])) * (inner[l] * (1.0 - inner[l])));
+                sums.offsets[c] = each(|l| sums.offsets[c][l] + d_raw[l]);
+                for (j, h) in hidden.iter().enumerate() {
+                    add(&mut sums.outputs[j][c], h, &d_raw);
+                    let output = network.outputs[j][c];
+                    d_hidden[j] = each(|l| output.mul_add(d_raw[l], d_hidden[j][l]));
+                }
+                let veiled = each(|l| g[l] * color[l] * veil[l]);
+                let faded = each(|l| g[l] * residual[l]);
+                add(&mut sums.veil[c], &veiled, z);
+                sums.residual[c] = each(|l| sums.residual[c][l] + faded[l]);
+                let lit = each(|l| -(glow * faded[l]));
+                add(&mut sums.residual_rate[c], &lit, z);
+                let (veil_rate, rate) = (network.veil[c], network.residual_rate[c]);
+                d_distance = each(|l| d_distance[l] + veil_rate.mul_add(veiled[l], rate * lit[l]));
+                if d_water.present() {
+                    put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - veil[l])));
+                    put(d_water.row(3 + c, r, columns.clone()), &[0.0; TILE]);
+                    put(d_water.row(6 + c, r, columns.clone()), &[0.0; TILE]);
+                }
+            }
+            let mut d_inverse = each(|l| -(d_distance[l] * z[l]) * z[l]);
             for (j, h) in hidden.iter().enumerate() {
-                add(&mut sums.outputs[j][c], h, &d_raw);
-                let output = network.outputs[j][c];
-                d_hidden[j] = each(|l| output.mul_add(d_raw[l], d_hidden[j][l]));
+                let d_unit = each(|l| d_hidden[j][l] * (h[l] * (1.0 - h[l])));
+                add(&mut sums.slopes[j], &d_unit, q);
+                sums.biases[j] = each(|l| sums.biases[j][l] + d_unit[l]);
+                let slope = network.slopes[j];
+                d_inverse = each(|l| slope.mul_add(d_unit[l], d_inverse[l]));
             }
-            let veiled = each(|l| g[l] * color[l] * veil[l]);
-            let faded = each(|l| g[l] * residual[l]);
-            add(&mut sums.veil[c], &veiled, z);
-            sums.residual[c] = each(|l| sums.residual[c][l] + faded[l]);
-            let lit = each(|l| -(glow * faded[l]));
-            add(&mut sums.residual_rate[c], &lit, z);
-            let (veil_rate, rate) = (network.veil[c], network.residual_rate[c]);
-            d_distance = each(|l| d_distance[l] + veil_rate.mul_add(veiled[l], rate * lit[l]));
-            if d_water.present() {
-                put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - veil[l])));
-                put(d_water.row(3 + c, r, columns.clone()), &[0.0; TILE]);
-                put(d_water.row(6 + c, r, columns.clone()), &[0.0; TILE]);
+            let (mut d_depth, mut d_weight) = (own(d_rendered.depth), own(d_rendered.accumulation));
+            let per_depth = each(|l| if depth[l] > NEAREST { d_inverse[l] / depth[l] } else { 0.0 });
+            if options.depth_gradient {
+                d_depth = each(|l| d_depth[l] - per_depth[l] * q[l]);
             }
-        }
-        let mut d_inverse = each(|l| -(d_distance[l] * z[l]) * z[l]);
-        for (j, h) in hidden.iter().enumerate() {
-            let d_unit = each(|l| d_hidden[j][l] * (h[l] * (1.0 - h[l])));
-            add(&mut sums.slopes[j], &d_unit, q);
-            sums.biases[j] = each(|l| sums.biases[j][l] + d_unit[l]);
-            let slope = network.slopes[j];
-            d_inverse = each(|l| slope.mul_add(d_unit[l], d_inverse[l]));
-        }
-        let (mut d_depth, mut d_weight) = (own(d_rendered.depth), own(d_rendered.accumulation));
-        let per_depth = each(|l| if depth[l] > NEAREST { d_inverse[l] / depth[l] } else { 0.0 });
-        if options.depth_gradient {
-            d_depth = each(|l| d_depth[l] - per_depth[l] * q[l]);
-        }
-        d_weight = each(|l| d_weight[l] + per_depth[l]);
-        put(d_images.row(3, r, columns.clone()), &d_depth);
-        put(d_images.row(4, r, columns), &d_weight);
-    });
+            d_weight = each(|l| d_weight[l] + per_depth[l]);
+            put(d_images.row(3, r, columns.clone()), &d_depth);
+            put(d_images.row(4, r, columns), &d_weight);
+        },
+    );
     if let [total] = d_network.0 {
         *total = sums.total();
     }

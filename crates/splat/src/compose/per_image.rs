@@ -192,28 +192,32 @@ impl Clear {
 /// Forms a row of tiles. Always inlined, so that it is compiled for the instruction set.
 #[inline(always)]
 fn form_row(read: Read<'_>, row: usize, (mut image, mut layers): Formed<'_>) {
-    read.for_each(row, |y, r, column, columns| {
-        let surface = read.surface(y, column, columns.len());
-        let weight = &surface.accumulation;
-        for c in 0..3 {
-            let Channel { light, color, object: a, veil: b, .. } =
-                read.channel(c, y, column, columns.len(), &surface);
-            let shown = each(|l| light[l] * a[l]);
-            let hidden = each(|l| weight[l] * b[l]);
-            let mut formed = each(|l| color[l].mul_add(1.0 - hidden[l], shown[l]));
-            if read.range.is_some() {
-                formed = each(|l| formed[l].clamp(0.0, 1.0));
-            }
-            put(image.row(c, r, columns.clone()), &formed);
-            if layers.present() {
-                let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
-                let medium = each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l]));
-                for (k, lanes) in [shown, medium, behind].iter().enumerate() {
-                    put(layers.row(3 * k + c, r, columns.clone()), lanes);
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, column, columns| {
+            let surface = read.surface(y, column, columns.len());
+            let weight = &surface.accumulation;
+            for c in 0..3 {
+                let Channel { light, color, object: a, veil: b, .. } =
+                    read.channel(c, y, column, columns.len(), &surface);
+                let shown = each(|l| light[l] * a[l]);
+                let hidden = each(|l| weight[l] * b[l]);
+                let mut formed = each(|l| color[l].mul_add(1.0 - hidden[l], shown[l]));
+                if read.range.is_some() {
+                    formed = each(|l| formed[l].clamp(0.0, 1.0));
+                }
+                put(image.row(c, r, columns.clone()), &formed);
+                if layers.present() {
+                    let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
+                    let medium = each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l]));
+                    for (k, lanes) in [shown, medium, behind].iter().enumerate() {
+                        put(layers.row(3 * k + c, r, columns.clone()), lanes);
+                    }
                 }
             }
-        }
-    });
+        },
+    );
 }
 
 /// Differentiates a row of tiles.
@@ -224,41 +228,46 @@ fn differentiate_row(
     (d_rendered, options): (&RenderGradients<'_>, &Options),
     (mut d_images, mut d_water): Derived<'_>,
 ) {
-    read.for_each(row, |y, r, column, columns| {
-        let (x, n) = (columns.start, columns.len());
-        let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
-        let surface = read.surface(y, column, n);
-        let Surface { accumulation: weight, ray, distance: s } = &surface;
-        let (mut d_weight, mut d_distance) = (own(d_rendered.accumulation), [0.0; TILE]);
-        for c in 0..3 {
-            let channel = read.channel(c, y, column, n, &surface);
-            let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
-            let mut g = get(d_rendered.image.row(c, y), x, n);
-            if read.range.is_some() {
-                let formed = each(|l| color[l].mul_add(1.0 - weight[l] * b[l], light[l] * a[l]));
-                g = each(|l| if (0.0..=1.0).contains(&formed[l]) { g[l] } else { 0.0 });
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, column, columns| {
+            let (x, n) = (columns.start, columns.len());
+            let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
+            let surface = read.surface(y, column, n);
+            let Surface { accumulation: weight, ray, distance: s } = &surface;
+            let (mut d_weight, mut d_distance) = (own(d_rendered.accumulation), [0.0; TILE]);
+            for c in 0..3 {
+                let channel = read.channel(c, y, column, n, &surface);
+                let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
+                let mut g = get(d_rendered.image.row(c, y), x, n);
+                if read.range.is_some() {
+                    let formed = each(|l| color[l].mul_add(1.0 - weight[l] * b[l], light[l] * a[l]));
+                    g = each(|l| if (0.0..=1.0).contains(&formed[l]) { g[l] } else { 0.0 });
+                }
+                let shown = each(|l| g[l] * a[l]);
+                let lit = each(|l| shown[l] * light[l]);
+                let veiled = each(|l| g[l] * color[l] * b[l]);
+                if read.range.is_none() {
+                    d_weight = each(|l| d_weight[l] - veiled[l]);
+                }
+                d_distance = each(|l| {
+                    d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l])
+                });
+                put(d_images.row(c, r, columns.clone()), &shown);
+                if d_water.present() {
+                    put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
+                    put(d_water.row(3 + c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
+                    put(d_water.row(6 + c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
+                }
             }
-            let shown = each(|l| g[l] * a[l]);
-            let lit = each(|l| shown[l] * light[l]);
-            let veiled = each(|l| g[l] * color[l] * b[l]);
-            if read.range.is_none() {
-                d_weight = each(|l| d_weight[l] - veiled[l]);
+            // A normalised distance is not the depth whose gradient the loss may also have.
+            let mut depth = own(d_rendered.depth.filter(|_| read.range.is_none()));
+            if options.depth_gradient {
+                depth = each(|l| depth[l] + ray[l] * d_distance[l]);
             }
-            d_distance =
-                each(|l| d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l]));
-            put(d_images.row(c, r, columns.clone()), &shown);
-            if d_water.present() {
-                put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
-                put(d_water.row(3 + c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
-                put(d_water.row(6 + c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
-            }
-        }
-        // A normalised distance is not the depth whose gradient the loss may also have.
-        let mut depth = own(d_rendered.depth.filter(|_| read.range.is_none()));
-        if options.depth_gradient {
-            depth = each(|l| depth[l] + ray[l] * d_distance[l]);
-        }
-        put(d_images.row(3, r, columns.clone()), &depth);
-        put(d_images.row(4, r, columns), &d_weight);
-    });
+            put(d_images.row(3, r, columns.clone()), &depth);
+            put(d_images.row(4, r, columns), &d_weight);
+        },
+    );
 }
