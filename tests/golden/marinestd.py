@@ -145,9 +145,16 @@ def main(folder):
     sides, n, views = [2, 3, 4], 40, 3
     count = sum(2 * s**3 for s in sides) + 64 * 25 + 64 + 3 * 64 + views * 16
     values = (0.25 * rng.standard_normal(count)).astype(np.float32)
+    values[: sum(2 * s**3 for s in sides)] *= np.float32(4)
+    values[-views * 16 :] *= np.float32(0.25)
     means = rng.standard_normal((n, 3)).astype(np.float32)
     means[:4] *= np.float32(5)
     constants = (0.8 * rng.standard_normal((n, 3))).astype(np.float32)
+    outer = slice(count - views * 16 - 192, count - views * 16)
+    lit = np.zeros(3)
+    while lit.min() < 0.3 or lit.max() > 0.8:  # Gaussians on both sides of the kink, in every channel
+        values[outer] = (0.25 * rng.standard_normal(192)).astype(np.float32)
+        lit = (caustics(values.astype(float), means, constants, sides, 1)["shown"] > constants).mean(axis=0)
     case(
         "caustics",
         lambda values, means, constants: caustics(values, means, constants, sides, 1),

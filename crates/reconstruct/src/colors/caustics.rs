@@ -165,20 +165,26 @@ impl ColorModel for Caustics {
         vec![(ColorRole::Grid, inner), (ColorRole::Network, codes - inner), (ColorRole::Code, views * CODE)]
     }
 
-    /// Grids and codes are small and random, and weights as Xavier's; the bias is 0.
+    /// Grids and codes are small and random, W₁ is Xavier's, and the bias is 0. W₂ is small and positive, so
+    /// that every channel begins with some light and has a gradient.
     fn start(&self, views: usize, seed: u64) -> Vec<f32> {
         let [inner, _, bias, outer, codes] = self.starts();
         let stream = Stream::new(seed, Purpose::new("caustics"), 0);
-        let bound = |from: usize| match from {
-            i if i < inner => 1e-4,
-            i if i < bias => (6.0 / (INPUTS + CODE + HIDDEN) as f64).sqrt(),
-            i if i < outer => 0.0,
-            i if i < codes => (6.0 / (HIDDEN + 3) as f64).sqrt(),
-            _ => 0.1,
+        let range = |from: usize| match from {
+            i if i < inner => (-1e-4, 1e-4),
+            i if i < bias => {
+                let bound = (6.0 / (INPUTS + CODE + HIDDEN) as f64).sqrt();
+                (-bound, bound)
+            }
+            i if i < outer => (0.0, 0.0),
+            i if i < codes => (0.0, 3e-3),
+            _ => (-0.1, 0.1),
         };
-        (0..codes + views * CODE)
-            .map(|i| ((2.0 * stream.uniform(i as u64) - 1.0) * bound(i)) as f32)
-            .collect()
+        let value = |i: usize| {
+            let (low, high) = range(i);
+            (low + (high - low) * stream.uniform(i as u64)) as f32
+        };
+        (0..codes + views * CODE).map(value).collect()
     }
 
     fn show(&self, values: &[f32], view: Option<usize>, means: &[[f32; 3]], constants: &mut [[f32; 3]]) {
