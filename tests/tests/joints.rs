@@ -80,6 +80,13 @@ fn a_kind_of_parameters_per_view_is_one_file_and_one_field_of_the_state() {
 }
 
 #[test]
+fn a_colour_field_is_one_file_and_one_row() {
+    let files = files_with(&sources(), &["CAUSTICS", "Self::Caustics"]);
+    let folder = "crates/reconstruct/src/colors";
+    assert_eq!(files, set(&[&format!("{folder}/caustics.rs"), &format!("{folder}/mod.rs")]));
+}
+
+#[test]
 fn a_phase_of_a_training_is_a_row_and_the_parameter_of_its_start() {
     let files = files_with(&sources(), &["medium_hold", "medium_release"]);
     let expected = set(&["crates/reconstruct/src/phases.rs", "crates/reconstruct/src/params.rs"]);
@@ -89,7 +96,14 @@ fn a_phase_of_a_training_is_a_row_and_the_parameter_of_its_start() {
 #[test]
 fn a_medium_is_one_file_and_one_row() {
     let sources = sources();
-    for (name, kind) in [("mlp", "Mlp"), ("rbf", "Rbf"), ("global", "Global")] {
+    for (name, kind) in [
+        ("mlp", "Mlp"),
+        ("rbf", "Rbf"),
+        ("global", "Global"),
+        ("seasplat", "Seasplat"),
+        ("per_view", "PerView"),
+        ("uir", "Uir"),
+    ] {
         let file = format!("crates/medium/src/{name}.rs");
         let words: Vec<String> = ["Medium", "Medium::", "MediumKind::", "MediumModel::"]
             .iter()

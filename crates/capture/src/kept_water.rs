@@ -44,7 +44,8 @@ impl KeptWater {
         Self(self.0.map(|k| 1.0 - strength * (1.0 - k)))
     }
 
-    /// Multiplies both coefficients of `maps`. Changes no bit if no water is removed.
+    /// Multiplies both coefficients of `maps`, and the share of a network. Changes no bit if no water is
+    /// removed.
     pub fn thin(&self, maps: &mut MediumMaps) {
         if self.is_all() {
             return;
@@ -53,6 +54,9 @@ impl KeptWater {
             for (c, k) in self.0.into_iter().enumerate() {
                 image.plane_mut(c).iter_mut().for_each(|beta| *beta *= k);
             }
+        }
+        if let Some(network) = &mut maps.network {
+            network.share.iter_mut().zip(self.0).for_each(|(share, k)| *share *= k);
         }
     }
 }

@@ -65,6 +65,58 @@ pub enum Formation {
     /// Gaussians are composed without water, and each pixel is then seen through the water at its expected
     /// distance.
     PerImage,
+    /// The same with distances that are normalised in each view, 0 for the nearest and 1 for the farthest
+    /// pixel. Coefficients then have no unit, and colours lie in `[0, 1]`.
+    Normalised,
+    /// As per image, with the [`DepthNetwork`] of the view in place of coefficients.
+    DepthNetwork,
+}
+
+/// Number of hidden units of a [`DepthNetwork`].
+pub const DEPTH_UNITS: usize = 32;
+
+/// The water of one view as a function of the inverse depth `q` of a pixel, per channel: 3D-UIR's water.
+///
+/// ```text
+/// h_j = σ(slope_j q + bias_j)      a_c = σ(σ(offset_c + Σ_j output_jc h_j))      z = 1 / (q + 1e-5)
+/// I_c = J_c + share_c (J_c (a_c − 1) + c_m,c (1 − e^{−veil_c z}) + residual_c e^{−residual_rate_c z})
+/// ```
+///
+/// `c_m` is [`MediumMaps::color`]. It also holds gradients with respect to its own numbers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DepthNetwork {
+    /// Share of the water that is left, in `[0, 1]`. It has no gradient.
+    pub share: [f32; 3],
+    /// Backscatter coefficient, 1 / scene unit.
+    pub veil: [f32; 3],
+    /// Light at distance 0 of the term that fades with the distance.
+    pub residual: [f32; 3],
+    /// Rate at which it fades, 1 / scene unit.
+    pub residual_rate: [f32; 3],
+    /// Weight of the inverse depth in every hidden unit.
+    pub slopes: [f32; DEPTH_UNITS],
+    /// Bias of every hidden unit.
+    pub biases: [f32; DEPTH_UNITS],
+    /// Weights of every hidden unit in the three outputs.
+    pub outputs: [[f32; 3]; DEPTH_UNITS],
+    /// Biases of the outputs.
+    pub offsets: [f32; 3],
+}
+
+impl DepthNetwork {
+    /// All numbers that have gradients.
+    pub fn values(&self) -> impl Iterator<Item = &f32> {
+        let Self { share: _, veil, residual, residual_rate, slopes, biases, outputs, offsets } = self;
+        let before = veil.iter().chain(residual).chain(residual_rate).chain(slopes).chain(biases);
+        before.chain(outputs.as_flattened()).chain(offsets)
+    }
+
+    /// The mutable form of [`values`](Self::values).
+    pub fn values_mut(&mut self) -> impl Iterator<Item = &mut f32> {
+        let Self { share: _, veil, residual, residual_rate, slopes, biases, outputs, offsets } = self;
+        let before = veil.iter_mut().chain(residual).chain(residual_rate).chain(slopes).chain(biases);
+        before.chain(outputs.as_flattened_mut()).chain(offsets)
+    }
 }
 
 /// The water seen through each pixel of a lattice: the output of a medium model and an input of the
@@ -79,6 +131,8 @@ pub struct MediumMaps {
     pub attenuation: Image,
     /// The formation of images in this water. It has no meaning in gradients.
     pub formation: Formation,
+    /// The network of [`Formation::DepthNetwork`]; `None` in other water.
+    pub network: Option<Box<DepthNetwork>>,
 }
 
 impl MediumMaps {
@@ -89,6 +143,15 @@ impl MediumMaps {
             backscatter: Image::new(width, height),
             attenuation: Image::new(width, height),
             formation: Formation::default(),
+            network: None,
+        }
+    }
+
+    /// Removes the water's own light. What it lets through stays.
+    pub fn darken(&mut self) {
+        self.color.data_mut().fill(0.0);
+        if let Some(network) = &mut self.network {
+            network.residual = [0.0; 3];
         }
     }
 

@@ -27,7 +27,7 @@ pub use appearance::Appearance;
 pub use camera::{Camera, CameraError, Frame, Intrinsics, Pose};
 pub use capture::{Capture, CaptureError, Pixels, SparsePoint, Split, View};
 pub use kept_water::KeptWater;
-pub use lattice::{Formation, Lattice, MediumMaps, world_direction};
+pub use lattice::{DEPTH_UNITS, DepthNetwork, Formation, Lattice, MediumMaps, world_direction};
 pub use name::{FileName, NameError, flat_stem, masked, natural_order, shown, stem};
 pub use raster::{Image, Image8, Map, Raster};
 pub use reach::{Reach, Side, reaches};

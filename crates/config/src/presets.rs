@@ -23,13 +23,15 @@ const PRESETS: &[(&str, &str)] = &[
     ("3dgs", include_str!("presets/3dgs.toml")),
     ("water-splatting", include_str!("presets/water-splatting.toml")),
     ("plenodium", include_str!("presets/plenodium.toml")),
+    ("seasplat", include_str!("presets/seasplat.toml")),
+    ("3d-uir", include_str!("presets/3d-uir.toml")),
+    ("marinestd-gs", include_str!("presets/marinestd-gs.toml")),
 ];
 
 /// The methods of the paper's tables that can be trained, in the order of its tables: presets on which
 /// another preset can stand.
-pub const METHODS: &[&str] = &["3dgs", "water-splatting", "plenodium", "3d-use"];
-/// Those that cannot be trained yet.
-const MISSING: &[&str] = &["seasplat", "3d-uir", "marinestd-gs"];
+pub const METHODS: &[&str] =
+    &["3dgs", "seasplat", "water-splatting", "plenodium", "3d-uir", "marinestd-gs", "3d-use"];
 
 /// Further names of presets.
 const ALIASES: &[(&str, &str)] = &[("vanilla", "3dgs"), ("watersplatting", "water-splatting")];
@@ -51,18 +53,12 @@ fn is_method(name: &str) -> bool {
 /// The name of a preset with another method below it.
 ///
 /// # Errors
-/// There is no such method, or none yet.
+/// There is no such method.
 pub(super) fn with_method(preset: &str, method: &str) -> Result<String, ConfigError> {
     if !is_method(method) {
         let known = METHODS.join(", ");
-        let why = match MISSING.contains(&method) {
-            true => format!("the method `{method}` cannot be trained yet; there are {known}"),
-            false => format!(
-                "no method `{method}`; there are {known}{}",
-                did_you_mean(method, METHODS.iter().copied())
-            ),
-        };
-        return Err(ConfigError::plain(why));
+        let near = did_you_mean(method, METHODS.iter().copied());
+        return Err(ConfigError::plain(format!("no method `{method}`; there are {known}{near}")));
     }
     let above = preset.split(OVER).filter(|name| !name.is_empty() && !is_method(name));
     Ok([method].into_iter().chain(above).collect::<Vec<_>>().join(OVER))
@@ -155,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_method_is_the_base_of_a_preset_and_one_that_is_missing_is_refused_by_name() {
+    fn a_method_is_the_base_of_a_preset_and_another_name_is_refused() {
         let with = |preset, method| with_method(preset, method).map_err(|e| e.to_string());
         assert_eq!(with("", "3dgs").as_deref(), Ok("3dgs"));
         assert_eq!(with("paper", "3d-use").as_deref(), Ok("3d-use + paper"));
@@ -164,10 +160,6 @@ mod tests {
         assert_eq!(
             (with_preset("3dgs", "vanilla"), with_preset("", "paper")),
             ("vanilla".into(), "paper".into())
-        );
-        let missing = with("", "seasplat").unwrap_err();
-        assert!(
-            missing.contains("`seasplat` cannot be trained yet") && missing.contains("3dgs, water-splatting")
         );
         assert!(with("", "3dsg").unwrap_err().contains("did you mean `3dgs`?"));
         assert_eq!(preset_values("3d-use + paper"), preset_values("paper"));

@@ -298,11 +298,9 @@ fn a_method_is_below_a_preset_and_one_that_is_missing_is_refused() {
     assert_eq!(made("preset = \"paper\"", &["method=3dgs"]).unwrap(), both);
     assert_eq!(made("method = \"3dgs\"", &["preset=paper"]).unwrap(), both);
     assert_eq!(made("", &["method=water-splatting"]).unwrap().1, "mlp");
-    let missing = made("method = \"seasplat\"", &[]).unwrap_err();
-    assert!(
-        missing.contains("x.toml:2:10") && missing.contains("`seasplat` cannot be trained yet"),
-        "{missing}"
-    );
+    assert_eq!(made("", &["method=seasplat"]).unwrap().1, "seasplat");
+    let missing = made("method = \"3d-uri\"", &[]).unwrap_err();
+    assert!(missing.contains("x.toml:2:10") && missing.contains("did you mean `3d-uir`?"), "{missing}");
     assert!(made("", &["method=3dsg"]).unwrap_err().contains("did you mean `3dgs`?"));
 }
 

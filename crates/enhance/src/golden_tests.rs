@@ -52,6 +52,7 @@ impl Example {
             backscatter: image(case, "in.beta_bs"),
             attenuation: image(case, "in.beta_attn"),
             formation: Formation::default(),
+            network: None,
         };
         let mut base = Vec::new();
         view_colors(&gaussians, &camera, gaussians.sh_degree, &mut base);

@@ -68,7 +68,7 @@ impl Drawing {
         {
             return refused(format!("{} colours of {} Gaussians", colors.len(), self.scene.count));
         }
-        if view.medium.is_some_and(|maps| maps.formation == Formation::PerImage) {
+        if view.medium.is_some_and(|maps| maps.formation != Formation::PerGaussian) {
             return refused("water that is laid over finished images is drawn on the processor alone".into());
         }
         if let Some(maps) = view.medium

@@ -1,7 +1,7 @@
 //! Compares projection, lists, compositor and update with the processor's, on the same inputs.
 
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps};
-use use3d_reconstruct::engine::{Moments, Statistics, StepRates};
+use use3d_reconstruct::engine::{GradientScale, Moments, Statistics, StepRates};
 use use3d_splat::{
     Colors, GaussianGradients, Gaussians, Gradients, Options, Prepared, Rasterizer, RenderGradients,
     Rendered, ViewOf,
@@ -249,7 +249,8 @@ fn agree(bench: &ViewKernels, case: &Case, room: usize, what: &str) -> ViewResul
     close("colours", f.sh.as_flattened().as_flattened(), &tenth(colors), 1e-5);
     let mut statistics = Statistics::new(case.gaussians.len());
     let (w, h) = (case.lattice.width(), case.lattice.height());
-    statistics.gather(&gradients, w, h, 1.0);
+    let scale = GradientScale { reference_pixels: 0, exponent: 0.5, signed: false, both: false };
+    statistics.gather(&gradients, w, h, &scale, 1.0);
     close("statistics", &drawn.statistics.norms, &statistics.norms, 1e-5);
     let renders = drawn.statistics.renders.iter().zip(&statistics.renders).filter(|(a, b)| a != b).count();
     assert!(renders <= case.gaussians.len() / 1000, "{what}: {renders}");

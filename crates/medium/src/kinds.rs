@@ -8,7 +8,10 @@ use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 
 use crate::medium::{Anchors, Harmonics, Medium, MediumStart};
 use crate::tensors::{Tensor, Tensors};
-use crate::{Coefficients, MediumError, MediumGlobal, MediumMlp, MediumRbf, Role};
+use crate::{
+    Coefficients, MediumError, MediumGlobal, MediumMlp, MediumPerView, MediumRbf, MediumSeasplat, MediumUir,
+    Role,
+};
 
 /// Makes models, kinds and calls from the table's rows. There is no row for no water: it has no parameters
 /// and nothing to compute.
@@ -102,6 +105,7 @@ macro_rules! media {
             /// water all maps are zero.
             pub fn maps(&self, camera: &Camera, lattice: &Lattice, active_degree: usize, out: &mut MediumMaps) {
                 out.formation = self.kind().formation();
+                out.network = None;
                 match self {
                     $(Self::$kind(m) => m.maps(camera, lattice, active_degree.min(3), out),)+
                     Self::None => {
@@ -191,15 +195,26 @@ media! {
     Mlp(MediumMlp, PerGaussian) = "mlp";
     /// One set of spherical harmonics (Plenodium's water).
     Global(MediumGlobal, PerGaussian) = "global";
-    /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's and 3D-UIR's
-    /// formation).
+    /// One set of spherical harmonics, applied to the finished image at its depth (SeaSplat's formation).
     Image(MediumGlobal, PerImage) = "image";
+    /// Free numbers of every training view (MarineSTD-GS's water). Other views have those of the nearest one.
+    PerView(MediumPerView, PerGaussian) = "per-view";
+    /// A network of the inverse depth and the camera's pose, applied to the finished image (3D-UIR's water).
+    Uir(MediumUir, DepthNetwork) = "uir";
+    /// Nine numbers for the whole scene, applied to the finished image at distances that are normalised in
+    /// each view (SeaSplat's water).
+    Seasplat(MediumSeasplat, Normalised) = "seasplat";
 }
 
 impl MediumKind {
     /// The kind with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.iter().copied().find(|kind| kind.name() == name)
+    }
+
+    /// True if its effect follows from coefficients per scene unit of distance, like that of real water.
+    pub fn is_per_length(self) -> bool {
+        matches!(self.formation(), Formation::PerGaussian | Formation::PerImage)
     }
 
     /// The names of all kinds for which `fits` is true, for a message: `rbf, mlp or none`.

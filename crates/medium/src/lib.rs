@@ -4,9 +4,11 @@
 //! colour at infinity `c_m` (display range) and the backscatter and attenuation coefficients `β_bs`,
 //! `β_attn` (1 / scene unit), each per RGB channel. The compositor does the rest. Models are rows of one
 //! table (`kinds`): [`MediumRbf`] (the method's), one set of spherical harmonics for the whole scene
-//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting).
+//! ([`MediumGlobal`], as in Plenodium), a network of the direction ([`MediumMlp`], as in WaterSplatting), and
+//! free numbers of every training view ([`MediumPerView`], as in MarineSTD-GS).
 //! The kind `none` has no row and no parameters. The water of all of these lies in front of every Gaussian. A
-//! further row applies the water of [`MediumGlobal`] to the finished image, as in SeaSplat and 3D-UIR.
+//! further row applies the water of [`MediumGlobal`] to the finished image. [`MediumSeasplat`] is the water
+//! of SeaSplat itself, and [`MediumUir`] that of 3D-UIR.
 //!
 //! `backward` is the exact adjoint of `maps` and adds to a gradient that has the model's own type.
 //! For optimisers, every model is a flat vector of parameters in a fixed order with a [`Role`]
@@ -17,16 +19,22 @@ mod global;
 mod kinds;
 mod medium;
 mod mlp;
+mod per_view;
 mod rbf;
+mod seasplat;
 mod tensors;
+mod uir;
 
 pub use directional::Coefficients;
 pub use global::MediumGlobal;
 pub use kinds::{MediumKind, MediumModel};
 pub use medium::{Anchors, Harmonics, MediumStart};
 pub use mlp::MediumMlp;
+pub use per_view::MediumPerView;
 pub use rbf::MediumRbf;
+pub use seasplat::MediumSeasplat;
 pub use tensors::{MOST_ANCHORS, Tensor, Tensors};
+pub use uir::MediumUir;
 
 /// The role of a parameter, by which an optimiser chooses its learning rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +76,9 @@ pub enum MediumError {
         /// First bad element.
         index: usize,
     },
+    /// Water of single views has no view.
+    #[error("the medium has no training views; expected one or more, each with its own water")]
+    Views,
     /// There are no anchors, or too many.
     #[error("the medium has {found} anchors; expected 1 to {most}")]
     Anchors {

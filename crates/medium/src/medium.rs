@@ -1,12 +1,12 @@
 //! The interface of a model of the water, and the types that it shares with its users.
 
-use use3d_capture::{Camera, Lattice, MediumMaps};
+use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
 
 use crate::tensors::{Put, Tensors};
 use crate::{Coefficients, MediumError, Role};
 
 /// The settings from which models start; each model uses those that it needs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct MediumStart {
     /// Anchors of an anchored model, 1 to [`MOST_ANCHORS`](crate::MOST_ANCHORS).
     pub anchors: usize,
@@ -14,6 +14,8 @@ pub struct MediumStart {
     pub top_k: usize,
     /// Seed of a model that starts at random.
     pub seed: u64,
+    /// The training cameras, for water of single views.
+    pub views: Vec<Pose>,
 }
 
 /// A model that consists of spherical harmonics of the direction, around a camera.

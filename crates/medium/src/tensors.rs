@@ -2,7 +2,10 @@
 //!
 //! `rbf`: `centers [K,3]`, `log_widths [K]`, `coefficients [K,3,16,3]`. `global` and
 //! `image`: `coefficients [3,16,3]`. `mlp`: `layer0.weight [128,16]`, `layer0.bias [128]`, `layer1…`,
-//! `layer2…`. `none` has no tensors.
+//! `layer2…`. `per-view`: `centers [N,3]`, `axes [N,3]`, `numbers [N,3,3]`. `seasplat`: `far [3]`,
+//! `backscatter [3]`, `attenuation [3]`. `uir`: `constants [4,3]`, `code.weight [16,12]`, `code.bias [16]`,
+//! `depth.weight [32]`, `hidden.weight [32,16]`, `hidden.bias [32]`, `output.weight [3,32]`,
+//! `output.bias [3]`. `none` has no tensors.
 
 use std::collections::BTreeMap;
 

@@ -1,11 +1,14 @@
 //! Compares with goldens and finite differences, and compares the vector code with its plain form.
 
-use glam::DVec3;
-use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
+use glam::{DMat3, DVec3};
+use use3d_capture::{Camera, DepthNetwork, Formation, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::{MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumRbf, directional};
+use crate::{
+    MediumGlobal, MediumKind, MediumMlp, MediumModel, MediumPerView, MediumRbf, MediumSeasplat, MediumStart,
+    MediumUir, directional,
+};
 
 fn case_camera(case: &Case<'_>) -> Camera {
     let rotation = case.rotations()[0];
@@ -74,6 +77,7 @@ fn golden_medium() {
                 backscatter: d_map("beta_bs"),
                 attenuation: d_map("beta_attn"),
                 formation: Formation::default(),
+                network: None,
             };
             let mut gradient = model.zeros_like();
             model.backward(&camera, &lattice, degree, &maps, &d_maps, &mut gradient);
@@ -82,6 +86,84 @@ fn golden_medium() {
             case.check(&format!("grad.{pull}.log_widths"), &gradient.log_widths);
             case.check(&format!("grad.{pull}.coeffs"), bytemuck::cast_slice(&gradient.coefficients));
         }
+    }
+}
+
+#[test]
+fn golden_water_of_single_views() {
+    let part = Part::math("marinestd");
+    let case = part.cases().into_iter().find(|case| case.name() == "per_view").unwrap();
+    let numbers: Vec<[f32; 3]> = case.rows("in.numbers");
+    let model = MediumModel::PerView(MediumPerView {
+        centers: case.rows("in.centers"),
+        axes: case.rows("in.axes"),
+        numbers: numbers.as_chunks::<3>().0.to_vec(),
+    });
+    let at = |name: &str| DVec3::from_slice(&case.f64(name));
+    let mut camera = camera(&Stream::new(1, Purpose::new("one pixel"), 0), 4, 4);
+    let (eye, axis) = (at("in.center"), at("in.axis"));
+    camera.pose = Pose::look_at(eye, eye + axis, DVec3::Z);
+    let lattice = Lattice::subset(&[1], &[2]).unwrap();
+    let mut maps = MediumMaps::zeros(1, 1);
+    model.maps(&camera, &lattice, 0, &mut maps);
+    let images = [&maps.color, &maps.attenuation, &maps.backscatter];
+    case.check("out.maps", &images.map(|image| image.pixel(0, 0)).concat());
+    let [color, attenuation, backscatter] = case.rows::<3>("cot.maps")[..] else { panic!("three maps") };
+    let image = |values: [f32; 3]| Image::from_planes(1, 1, values.to_vec()).unwrap();
+    let d_maps = MediumMaps {
+        color: image(color),
+        backscatter: image(backscatter),
+        attenuation: image(attenuation),
+        formation: Formation::default(),
+        network: None,
+    };
+    let mut gradient = model.zeros_like();
+    model.backward(&camera, &lattice, 0, &maps, &d_maps, &mut gradient);
+    case.check("grad.maps.numbers", &gradient.flat());
+}
+
+#[test]
+fn a_training_view_is_its_own_nearest_one_and_water_of_views_needs_views() {
+    let poses: Vec<Pose> =
+        (0..6).map(|k| camera(&Stream::new(k, Purpose::new("views"), 0), 4, 4).pose).collect();
+    let start = |views| MediumStart { anchors: 1, top_k: 1, seed: 0, views };
+    let mut model = MediumModel::start(MediumKind::PerView, &start(poses.clone())).unwrap();
+    let flat: Vec<f32> = (0..54).map(|i| (i / 9) as f32).collect();
+    assert!(model.set_flat(&flat));
+    let mut camera = camera(&Stream::new(0, Purpose::new("views"), 0), 4, 4);
+    let mut maps = MediumMaps::zeros(1, 1);
+    for (k, pose) in poses.into_iter().enumerate() {
+        camera.pose = pose;
+        model.maps(&camera, &Lattice::full(&camera.intrinsics), 0, &mut maps);
+        let expected = use3d_numerics::functions::scalar::sigmoid(k as f32);
+        assert!(maps.color.data().iter().all(|v| *v == expected), "view {k}");
+    }
+    let refused = MediumModel::start(MediumKind::PerView, &start(Vec::new())).unwrap_err().to_string();
+    assert!(refused.contains("no training views"), "{refused}");
+    assert!(MediumModel::from_tensors(MediumKind::PerView, 0, &crate::Tensors::new()).is_err());
+}
+
+#[test]
+fn golden_nine_numbers() {
+    let part = Part::math("seasplat");
+    let case = part.cases().into_iter().find(|case| case.name() == "water").unwrap();
+    let numbers = case.rows("in.numbers").try_into().unwrap();
+    let model = MediumModel::Seasplat(MediumSeasplat { numbers });
+    let size = (case.count("width"), case.count("height"));
+    let (camera, lattice) =
+        (camera(&Stream::new(1, Purpose::new("a view"), 0), size.0, size.1), Lattice::size(size.0, size.1));
+    let mut maps = MediumMaps::zeros(0, 0);
+    model.maps(&camera, &lattice, 1, &mut maps);
+    for (q, name) in ["c_m", "beta_bs", "beta_attn"].into_iter().enumerate() {
+        let map = [&maps.color, &maps.backscatter, &maps.attenuation][q];
+        case.check_planes(&format!("out.{name}"), map.data());
+        let mut d_maps = MediumMaps::zeros(size.0, size.1);
+        let (w, h, cot) = case.planes(&format!("cot.{name}"));
+        *[&mut d_maps.color, &mut d_maps.backscatter, &mut d_maps.attenuation][q] =
+            Image::from_planes(w, h, cot).unwrap();
+        let mut gradient = model.zeros_like();
+        model.backward(&camera, &lattice, 1, &maps, &d_maps, &mut gradient);
+        case.check(&format!("grad.{name}.numbers"), &gradient.flat());
     }
 }
 
@@ -115,18 +197,41 @@ fn random_model(stream: &Stream, kind: MediumKind) -> MediumModel {
         MediumKind::None => MediumModel::None,
         MediumKind::Global => MediumModel::Global(MediumGlobal { coefficients: coefficients(0) }),
         MediumKind::Image => MediumModel::Image(MediumGlobal { coefficients: coefficients(0) }),
+        MediumKind::Seasplat => {
+            // One exponent is negative: it counts as zero, and has no gradient.
+            let numbers = std::array::from_fn(|q| std::array::from_fn(|c| 0.6 + 0.1 * n((3 * q + c) as u64)));
+            let mut water = MediumSeasplat { numbers };
+            water.numbers[2][1] = -0.4;
+            MediumModel::Seasplat(water)
+        }
         MediumKind::Rbf => MediumModel::Rbf(MediumRbf {
             centers: (0..5).map(|k| std::array::from_fn(|a| 0.7 * n(5000 + k * 3 + a as u64))).collect(),
             log_widths: (0..5).map(|k| -0.3 + 0.2 * n(6000 + k)).collect(),
             coefficients: (0..5).map(|k| coefficients(1000 * k)).collect(),
             top_k: 3,
         }),
+        MediumKind::PerView => {
+            let views =
+                (0..4).map(|k| camera(&Stream::new(k, Purpose::new("views"), 0), 4, 4).pose).collect();
+            let start = MediumStart { anchors: 1, top_k: 1, seed: 0, views };
+            let mut model = MediumModel::start(kind, &start).unwrap();
+            let flat: Vec<f32> = (0..model.parameter_count()).map(|i| 0.7 * n(300 + i as u64)).collect();
+            assert!(model.set_flat(&flat));
+            model
+        }
         MediumKind::Mlp => {
             let mut network = MediumMlp::new(stream.bits(0));
             for b in network.biases.iter_mut().flatten() {
                 *b = 0.1;
             }
             MediumModel::Mlp(network)
+        }
+        MediumKind::Uir => {
+            let mut water = MediumModel::Uir(MediumUir::new(stream.bits(0)));
+            let moved: Vec<f32> =
+                water.flat().iter().enumerate().map(|(i, v)| v + 0.2 * n(i as u64)).collect();
+            assert!(water.set_flat(&moved));
+            water
         }
     }
 }
@@ -141,13 +246,66 @@ fn random_maps(stream: &Stream, width: usize, height: usize) -> MediumMaps {
         backscatter: image(30_000),
         attenuation: image(50_000),
         formation: Formation::default(),
+        network: None,
     }
 }
 
 fn dot(a: &MediumMaps, b: &MediumMaps) -> f64 {
     let images = [(&a.color, &b.color), (&a.backscatter, &b.backscatter), (&a.attenuation, &b.attenuation)];
     let pairs = images.iter().flat_map(|(x, y)| x.data().iter().zip(y.data()));
-    pairs.map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+    let numbers = a.network.iter().zip(&b.network).flat_map(|(x, y)| x.values().zip(y.values()));
+    pairs.chain(numbers).map(|(&x, &y)| f64::from(x) * f64::from(y)).sum()
+}
+
+/// The gradients that a model of a kind reads: coefficients of a depth network are shown and not used.
+fn read_by(kind: MediumKind, stream: &Stream, mut d_maps: MediumMaps) -> MediumMaps {
+    if kind == MediumKind::Uir {
+        d_maps.backscatter.data_mut().fill(0.0);
+        d_maps.attenuation.data_mut().fill(0.0);
+        let mut network = DepthNetwork::default();
+        network.values_mut().enumerate().for_each(|(i, v)| *v = 50.0 * stream.normal(i as u64) as f32);
+        d_maps.network = Some(Box::new(network));
+    }
+    d_maps
+}
+
+#[test]
+fn golden_water_of_3d_uir() {
+    let part = Part::math("uir");
+    let case = part.cases().into_iter().find(|case| case.name() == "water").unwrap();
+    let names = [
+        "constants",
+        "code_weight",
+        "code_bias",
+        "depth_weight",
+        "hidden_weight",
+        "hidden_bias",
+        "output_weight",
+        "output_bias",
+    ];
+    let mut model = MediumModel::Uir(MediumUir::new(0));
+    let given: Vec<f32> = names.iter().flat_map(|name| case.f32(&format!("in.{name}"))).collect();
+    assert!(model.set_flat(&given));
+    let rotation = DMat3::from_cols_slice(&case.f64("in.rotation")).transpose();
+    let intrinsics = Intrinsics { width: 1, height: 1, fx: 1.0, fy: 1.0, cx: 0.5, cy: 0.5 };
+    let center = DVec3::from_slice(&case.f64("in.center"));
+    let camera = Camera { intrinsics, pose: Pose { rotation, translation: -(rotation * center) } };
+    let (lattice, mut maps) = (Lattice::full(&intrinsics), MediumMaps::zeros(0, 0));
+    model.maps(&camera, &lattice, 3, &mut maps);
+    let numbers =
+        |maps: &MediumMaps| -> Vec<f32> { maps.network.as_ref().unwrap().values().copied().collect() };
+    case.check("out.color", maps.color.data());
+    case.check("out.network", &numbers(&maps));
+    let mut d_maps = MediumMaps::zeros(1, 1);
+    d_maps.color.data_mut().copy_from_slice(&case.f32("cot.color"));
+    let mut d_network = DepthNetwork::default();
+    d_network.values_mut().zip(case.f32("cot.network")).for_each(|(value, given)| *value = given);
+    d_maps.network = Some(Box::new(d_network));
+    let mut gradient = model.zeros_like();
+    model.backward(&camera, &lattice, 3, &maps, &d_maps, &mut gradient);
+    for (name, (_, values)) in names.iter().zip(gradient.groups()) {
+        case.check(&format!("grad.all.{name}"), values);
+    }
 }
 
 #[test]
@@ -156,9 +314,9 @@ fn gradients_agree_with_finite_differences() {
         let stream = Stream::new(seed, Purpose::new("medium finite differences"), 0);
         let camera = camera(&stream, 37, 19);
         let lattice = Lattice::full(&camera.intrinsics);
-        let d_maps = random_maps(&stream, 37, 19);
-        for kind in [MediumKind::Global, MediumKind::Image, MediumKind::Rbf, MediumKind::Mlp] {
-            for degree in [1, 3] {
+        for &kind in MediumKind::ALL {
+            let d_maps = read_by(kind, &stream, random_maps(&stream, 37, 19));
+            for degree in [0, 1, 3] {
                 let mut model = random_model(&stream, kind);
                 let mut maps = MediumMaps::zeros(1, 1);
                 model.maps(&camera, &lattice, degree, &mut maps);
@@ -269,7 +427,7 @@ fn the_same_bits_on_any_number_of_threads() {
     let camera = camera(&stream, 70, 90);
     let lattice = Lattice::full(&camera.intrinsics);
     let d_maps = random_maps(&stream, 70, 90);
-    for kind in [MediumKind::Rbf, MediumKind::Mlp] {
+    for kind in [MediumKind::Rbf, MediumKind::Mlp, MediumKind::PerView] {
         let model = random_model(&stream, kind);
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

@@ -32,8 +32,11 @@ fn scene(away: DVec3) -> Scene {
     }
     let (scale, rotation) = (0.1, DMat3::from_quat(DQuat::from_rotation_x(0.4)));
     let frame = Frame { scale, rotation, translation: -scale * (rotation * away) };
-    let medium =
-        MediumModel::start(MediumKind::None, &MediumStart { anchors: 1, top_k: 1, seed: 0 }).unwrap();
+    let medium = MediumModel::start(
+        MediumKind::None,
+        &MediumStart { anchors: 1, top_k: 1, seed: 0, views: Vec::new() },
+    )
+    .unwrap();
     Scene { gaussians, frame, medium, medium_degree: 0, enhancement: None }
 }
 

@@ -76,7 +76,7 @@ impl FoundWater {
     /// The model of the water at the start; `None` for a model that does not start from spherical
     /// harmonics.
     pub(crate) fn model(&self, params: &ReconstructParams) -> Option<MediumModel> {
-        MediumModel::start_from(params.medium, &params.medium_start(), &self.coefficients()).ok().flatten()
+        MediumModel::start_from(params.medium, &params.medium_start(&[]), &self.coefficients()).ok().flatten()
     }
 
     /// The colour with which the Gaussian of a point starts, computed from its colour in the photographs

@@ -9,7 +9,9 @@
 //! of threads, and after any number of interruptions.
 
 mod bounds;
+mod colors;
 mod completion;
+mod densify;
 pub mod density;
 pub mod engine;
 mod error;
@@ -27,17 +29,21 @@ mod phases;
 mod profile;
 mod report;
 mod run;
+mod seasplat;
+mod turns;
 mod unknown;
 mod views;
 mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
+pub use colors::{ColorField, ColorState, ColorStep};
+pub use densify::{Densify, Strategy};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};
 pub use params::{
-    Densify, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate, ReconstructParams,
-    Strategy,
+    ColorRates, DepthPrior, Exposure, Images, LearningRates, MediumPrior, Photometric, Rate,
+    ReconstructParams,
 };
 pub use peek::scene_in_checkpoint;
 pub use per_view::ViewParameters;
@@ -45,6 +51,7 @@ pub use phases::{Group, Phase};
 pub use profile::{StepPart, Stretch, growth};
 pub use report::{Evaluation, FittedScore, LogEntry, ViewScore};
 pub use run::{ReconstructOutcome, reconstruct};
+pub use seasplat::{Priors, Turns};
 pub use use3d_medium::MediumKind as Medium;
 pub use use3d_training::EngineChoice;
 pub use views::{LoadedView, Target, TrainingView, ViewLoader};

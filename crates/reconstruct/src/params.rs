@@ -2,12 +2,15 @@
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use use3d_capture::Camera;
 use use3d_medium::{MediumKind, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 use use3d_training::EngineChoice;
 
-use crate::engine::GradientScale;
+use crate::colors::ColorField;
+use crate::densify::Densify;
+use crate::{Priors, Turns};
 
 /// The largest divisor of the image pyramid.
 pub(crate) const MOST_DIVISOR: usize = 1024;
@@ -96,6 +99,24 @@ impl Rate {
     }
 }
 
+/// Learning rates of the parameters of a colour field, first and last.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ColorRates {
+    /// Rate of the features of places.
+    pub grid: Rate,
+    /// Rate of the weights of networks.
+    pub network: Rate,
+    /// Rate of the numbers of views.
+    pub code: Rate,
+}
+
+impl Default for ColorRates {
+    fn default() -> Self {
+        Self { grid: Rate(1e-2, 1e-4), network: Rate(1e-3, 1.5e-4), code: Rate(2e-3, 2e-4) }
+    }
+}
+
 /// Adam's learning rates, first and last, per group of parameters.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -119,6 +140,8 @@ pub struct LearningRates {
     pub medium_directional: Rate,
     /// Rate of the weights of the `mlp` water.
     pub medium_network: Rate,
+    /// Rates of the colour field.
+    pub color_field: ColorRates,
     /// Rate of the views' log-gains, if `exposure` allows them; a compressed run multiplies it like those
     /// of the water.
     pub exposure: Rate,
@@ -136,119 +159,9 @@ impl Default for LearningRates {
             medium_constant: Rate(2.5e-3, 2.5e-4),
             medium_directional: Rate(1.25e-4, 1.25e-5),
             medium_network: Rate(1e-3, 1.5e-4),
+            color_field: ColorRates::default(),
             exposure: Rate(2e-3, 2e-4),
         }
-    }
-}
-
-/// The rules of density control.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Strategy {
-    /// Absolute screen gradients, ceilings of opacity with a pause after each, and culling to the end.
-    #[default]
-    Absolute,
-    /// Those of 3D Gaussian Splatting. Opposite screen gradients cancel. Sizes and the rate of centres are
-    /// in extents of the cameras: 1.1 times the largest distance of a camera from their mean. Large Gaussians
-    /// are removed after the first ceiling, and after growth. There is no pause, and no culling at the end.
-    #[serde(rename = "3dgs")]
-    Signed,
-}
-
-/// The rules by which Gaussians are added and removed (R9).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Densify {
-    /// True if the number of Gaussians changes at all.
-    pub enabled: bool,
-    /// The rules of density control: this program's own, or those of 3D Gaussian Splatting.
-    pub strategy: Strategy,
-    /// Gradient statistics are gathered from this step on.
-    pub statistics_from: u64,
-    /// No refinement up to this step (at most a quarter of the run).
-    pub warm_up: u64,
-    /// Steps between refinements.
-    pub every: u64,
-    /// Steps between opacity ceilings.
-    pub period: u64,
-    /// Longest pause after a ceiling: densification waits until `step mod period` reaches the smaller of this
-    /// and the number of training views + `every`.
-    pub pause: u64,
-    /// Share of the run after which no Gaussians are added.
-    pub until: f64,
-    /// Mean absolute screen gradient above which a Gaussian is split or duplicated.
-    pub gradient_threshold: f64,
-    /// Pixels of the training images for which `gradient_threshold` is meant (the method's 1400×933). For
-    /// other images screen gradients are multiplied by (pixels / this) to the power of `size_exponent`. 0:
-    /// never.
-    pub reference_pixels: u64,
-    /// The exponent of that scale, 0 to 1. With 1/2 a scene grows to about as many Gaussians per pixel at any
-    /// size. With less, larger images get fewer per pixel, because four times the pixels rarely show four
-    /// times the detail.
-    pub size_exponent: f64,
-    /// Largest standard deviation up to which it is duplicated rather than split, scene units.
-    pub split_scale: f64,
-    /// Factor by which the children of a split are smaller.
-    pub shrink: f64,
-    /// Gaussians below this opacity are removed while densifying.
-    pub cull_opacity: f64,
-    /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
-    pub cull_opacity_late: f64,
-    /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
-    /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
-    pub gentle_below: u64,
-    /// Gaussians with a standard deviation above this are removed, scene units.
-    pub cull_scale: f64,
-    /// With the strategy `3dgs`, Gaussians are removed whose radius on the screen was larger than this number
-    /// of pixels. 0: never.
-    pub cull_screen: f64,
-    /// Opacities are lowered to this at every ceiling.
-    pub opacity_ceiling: f64,
-    /// Strength of the noise that moves nearly transparent Gaussians at every ceiling, in steps of centres.
-    pub noise: f64,
-    /// Culling never leaves fewer Gaussians than this …
-    pub floor: usize,
-    /// … nor a smaller share of the initial ones.
-    pub floor_share: f64,
-    /// True if Adam's moments of the water's coefficients are zeroed at every refinement.
-    pub reset_medium: bool,
-}
-
-impl Default for Densify {
-    fn default() -> Self {
-        Self {
-            enabled: true,
-            strategy: Strategy::Absolute,
-            statistics_from: 100,
-            warm_up: 300,
-            every: 50,
-            period: 250,
-            pause: 125,
-            until: 2.0 / 3.0,
-            gradient_threshold: 2.05e-3,
-            reference_pixels: 1400 * 933,
-            size_exponent: 0.2,
-            split_scale: 1e-3,
-            shrink: 1.3,
-            cull_opacity: 0.5,
-            cull_opacity_late: 0.1,
-            gentle_below: 2000,
-            cull_scale: 10.0,
-            cull_screen: 0.0,
-            opacity_ceiling: 0.45,
-            noise: 0.0,
-            floor: 100,
-            floor_share: 0.1,
-            reset_medium: true,
-        }
-    }
-}
-
-impl Densify {
-    /// The scale of screen gradients for the size of the images.
-    pub fn gradient_scale(&self) -> GradientScale {
-        let signed = self.strategy == Strategy::Signed;
-        GradientScale { reference_pixels: self.reference_pixels, exponent: self.size_exponent, signed }
     }
 }
 
@@ -280,6 +193,12 @@ pub struct ReconstructParams {
     pub exposure: Exposure,
     /// Strength with which the views' gains are drawn to one: λ of `λ/2 · (ln gain)²` in the loss.
     pub exposure_weight: f64,
+    /// A change of the scene's colours from view to view.
+    pub color_field: ColorField,
+    /// Weight of its regulariser.
+    pub color_weight: f64,
+    /// Share of the run, 0 to 1, for which the field is learnt beside the scene and changes nothing else.
+    pub color_alone: f64,
     /// The source of depth priors.
     pub depth_prior: DepthPrior,
     /// Weight of the depth term.
@@ -287,12 +206,32 @@ pub struct ReconstructParams {
     /// Weight of the depth-ranking term: near patches of the prior must be near in the scene. It ends with
     /// density control's growth.
     pub ranking_weight: f64,
+    /// Weight of the smoothness of depth except at edges.
+    pub smoothness_weight: f64,
+    /// True if edges near the camera are those of the depth prior; else all are those of the photograph.
+    pub smoothness_by_prior: bool,
+    /// True if depths are normalised to 0 to 1 in each view for it.
+    pub smoothness_normalised: bool,
+    /// Steps after each ceiling of opacity without the smoothness term.
+    pub smoothness_pause: u64,
+    /// Weight of the distance between inverse depth and the depth prior, in the units of the inverse depth.
+    pub inverse_depth_weight: f64,
+    /// Weight of the variation of inverse depth between neighbouring pixels. It begins after the warm-up.
+    pub variation_weight: f64,
+    /// Weight of the Gaussians' mean smallest standard deviation: they become flat.
+    pub flatness_weight: f64,
     /// The step after which holes of the sparse model are filled by the depth prior. 0: never.
     pub complete_at: u64,
+    /// Weights of priors on water, clear colours and background.
+    pub priors: Priors,
+    /// Turns in which the water or the colours move alone.
+    pub turns: Turns,
     /// True if gradients flow through the ray distances of the water's terms (R2).
     pub depth_gradient: bool,
     /// The comparison of a rendered view with its photograph.
     pub photometric: Photometric,
+    /// Share of the run, 0 to 1, for which errors are not relative to the rendered light.
+    pub plain_until: f64,
     /// Weight λ of its structure against its absolute error.
     pub structure_weight: f64,
     /// Degree of the Gaussians' and the water's spherical harmonics, 0 to 3.
@@ -354,12 +293,25 @@ impl Default for ReconstructParams {
             medium_release: 0.3,
             exposure: Exposure::Off,
             exposure_weight: 0.02,
+            color_field: ColorField::Off,
+            color_weight: 1.0,
+            color_alone: 0.0,
             depth_prior: DepthPrior::Auto,
             depth_weight: 0.1,
             ranking_weight: 0.0,
+            smoothness_weight: 0.0,
+            smoothness_by_prior: false,
+            smoothness_normalised: false,
+            smoothness_pause: 0,
+            inverse_depth_weight: 0.0,
+            variation_weight: 0.0,
+            flatness_weight: 0.0,
             complete_at: 0,
+            priors: Priors::default(),
+            turns: Turns::default(),
             depth_gradient: true,
             photometric: Photometric::RegMsSsim,
+            plain_until: 0.0,
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
@@ -396,8 +348,6 @@ impl ReconstructParams {
         within("anchors", self.anchors, 1, use3d_medium::MOST_ANCHORS)?;
         at_least("log_every", self.log_every, 1)?;
         at_least("checkpoint_steps", self.checkpoint_steps, 1)?;
-        at_least("densify.every", self.densify.every, 1)?;
-        at_least("densify.period", self.densify.period, 1)?;
         within("random_points", self.random_points as u64, 1, MOST_POINTS)?;
         positive("checkpoint_minutes", self.checkpoint_minutes)?;
         if self.top_k == 0 || self.top_k > self.anchors {
@@ -419,6 +369,7 @@ impl ReconstructParams {
                 return Err(OutOfRange::new("medium_prior", "tracks", expected));
             }
         }
+        share("plain_until", self.plain_until)?;
         share("structure_weight", self.structure_weight)?;
         share("initial_opacity", self.initial_opacity)?;
         positive("initial_opacity", self.initial_opacity)?;
@@ -427,7 +378,19 @@ impl ReconstructParams {
         }
         not_negative("depth_weight", self.depth_weight)?;
         not_negative("ranking_weight", self.ranking_weight)?;
+        not_negative("smoothness_weight", self.smoothness_weight)?;
+        not_negative("inverse_depth_weight", self.inverse_depth_weight)?;
+        not_negative("variation_weight", self.variation_weight)?;
+        not_negative("flatness_weight", self.flatness_weight)?;
+        if self.smoothness_by_prior && self.smoothness_normalised {
+            let expected = "false with smoothness_by_prior, whose depths are not normalised";
+            return Err(OutOfRange::new("smoothness_normalised", "true", expected));
+        }
         not_negative("exposure_weight", self.exposure_weight)?;
+        not_negative("color_weight", self.color_weight)?;
+        share("color_alone", self.color_alone)?;
+        self.priors.validate()?;
+        self.turns.validate()?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
         let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
@@ -442,22 +405,8 @@ impl ReconstructParams {
             );
             return Err(OutOfRange::new("resolution_schedule", format!("{schedule:?}"), expected));
         }
-        let d = &self.densify;
-        share("densify.until", d.until)?;
-        share("densify.cull_opacity", d.cull_opacity)?;
-        share("densify.cull_opacity_late", d.cull_opacity_late)?;
-        share("densify.floor_share", d.floor_share)?;
-        positive("densify.gradient_threshold", d.gradient_threshold)?;
-        share("densify.size_exponent", d.size_exponent)?;
-        positive("densify.split_scale", d.split_scale)?;
-        positive("densify.shrink", d.shrink)?;
-        positive("densify.cull_scale", d.cull_scale)?;
-        not_negative("densify.cull_screen", d.cull_screen)?;
-        not_negative("densify.noise", d.noise)?;
+        self.densify.validate()?;
         not_negative("network_clip", self.network_clip)?;
-        if !(d.opacity_ceiling > 0.0 && d.opacity_ceiling < 1.0) {
-            return Err(OutOfRange::new("densify.opacity_ceiling", d.opacity_ceiling, "between 0 and 1"));
-        }
         share("unknown_below", self.unknown_below)?;
         share("hidden_below", self.hidden_below)?;
         let r = &self.learning_rates;
@@ -471,6 +420,9 @@ impl ReconstructParams {
             ("medium_constant", r.medium_constant),
             ("medium_directional", r.medium_directional),
             ("medium_network", r.medium_network),
+            ("color_field.grid", r.color_field.grid),
+            ("color_field.network", r.color_field.network),
+            ("color_field.code", r.color_field.code),
             ("exposure", r.exposure),
         ] {
             positive(format!("learning_rates.{name}[0]"), rate.0)?;
@@ -480,8 +432,9 @@ impl ReconstructParams {
     }
 
     /// The settings from which the water's model starts.
-    pub(crate) fn medium_start(&self) -> MediumStart {
-        MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed }
+    pub(crate) fn medium_start(&self, cameras: &[Camera]) -> MediumStart {
+        let views = cameras.iter().map(|camera| camera.pose).collect();
+        MediumStart { anchors: self.anchors, top_k: self.top_k, seed: self.seed, views }
     }
 
     /// The steps that the schedules span.
@@ -520,7 +473,8 @@ impl ReconstructParams {
 
     /// True if something reads depth priors.
     pub fn uses_priors(&self) -> bool {
-        self.depth_weight > 0.0 || self.ranking_weight > 0.0 || self.complete_at > 0
+        let weights = [self.depth_weight, self.ranking_weight, self.inverse_depth_weight];
+        weights.iter().any(|weight| *weight > 0.0) || self.complete_at > 0 || self.smoothness_by_prior
     }
 
     /// The step from which no Gaussians are added.
@@ -578,18 +532,6 @@ mod tests {
         p.validate().unwrap();
         assert_eq!([0, 599, 600, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
         assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
-    }
-
-    #[test]
-    fn screen_gradients_are_scaled_to_the_size_of_the_images() {
-        let d = Densify::default();
-        let of = |d: &Densify, width: u32, height: u32| d.gradient_scale().at(f64::from(width * height));
-        assert_eq!(of(&d, 1400, 933), 1.0);
-        // Half the side: the scale falls by a quarter, and by half in the rule per pixel.
-        assert!((of(&d, 700, 933 / 2) - math::powf(0.25f32, 0.2)).abs() < 1e-3);
-        let per_pixel = Densify { size_exponent: 0.5, ..d };
-        assert!((of(&per_pixel, 700, 933 / 2) - 0.5).abs() < 1e-3);
-        assert_eq!(of(&Densify { reference_pixels: 0, ..d }, 320, 180), 1.0);
     }
 
     #[test]

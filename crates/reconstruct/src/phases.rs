@@ -13,6 +13,7 @@
 //! Water starts far from its final state, and Adam's steps have the length of the rate for any gradient. So
 //! a compressed run takes longer steps to get as far, within reason. Gaussians start near their final state.
 
+use crate::colors::{ColorField, ColorStep};
 use crate::engine::StepRates;
 use crate::{Rate, ReconstructParams};
 
@@ -94,6 +95,17 @@ impl ReconstructParams {
         };
         (rates, of(Group::Views, r.exposure))
     }
+
+    /// The settings of the colour field in a step; `None` without a field. Its rates are those of a run of
+    /// any length.
+    pub fn color_step(&self, step: u64) -> Option<ColorStep> {
+        let (course, rates) = (self.course(), &self.learning_rates.color_field);
+        (self.color_field != ColorField::Off).then(|| ColorStep {
+            rates: [rates.grid, rates.network, rates.code].map(|rate| rate.at(step, course)),
+            weight: self.color_weight,
+            alone: (step as f64) < self.color_alone * course as f64,
+        })
+    }
 }
 
 #[cfg(test)]
@@ -134,6 +146,18 @@ mod tests {
             );
         }
         assert!(all.0.means > 0.0);
+    }
+
+    #[test]
+    fn a_field_is_learnt_alone_for_its_share_of_the_run() {
+        let mut params = ReconstructParams { iterations: 900, schedule: 900, ..ReconstructParams::default() };
+        assert_eq!(params.color_step(0), None);
+        (params.color_field, params.color_alone) = (ColorField::Caustics, 1.0 / 3.0);
+        let alone = |step| params.color_step(step).map(|colors| colors.alone);
+        assert_eq!([0, 299, 300, 899].map(alone), [Some(true), Some(true), Some(false), Some(false)]);
+        let rates = params.color_step(0).unwrap().rates;
+        let expected = [1e-2, 1e-3, 2e-3];
+        assert!(rates.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{rates:?}");
     }
 
     #[test]

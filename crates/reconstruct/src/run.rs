@@ -20,15 +20,17 @@ use use3d_training::{
 };
 
 use crate::bounds::most_gaussians;
+use crate::colors::ColorState;
 use crate::completion::Holes;
 use crate::density::{self, Draws, Refinement};
-use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, TrainingState};
+use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
 use crate::load::load;
 use crate::phases::Phase;
 use crate::profile::{StepPart, Stretch};
 use crate::report::{Evaluation, FittedScore, LogEntry, ViewScore};
+use crate::turns::Update;
 use crate::views::{TrainingView, ViewLoader};
 use crate::window::Window;
 use crate::{
@@ -75,6 +77,7 @@ impl ReconstructOutcome {
 #[derive(Serialize, Deserialize)]
 pub(crate) struct RunState<'a> {
     fingerprint: [u8; 32],
+    /// Updates done.
     pub(crate) step: u64,
     initial: usize,
     pub(crate) engine: Cow<'a, TrainingState>,
@@ -122,9 +125,10 @@ pub fn reconstruct(
     let views = load(capture, loader, params, observer)?;
     let gaussians = initialise::gaussians(capture, found, params, most, |message| observer.notice(message))?;
     let initial = gaussians.len();
+    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let water = match start {
         Some((_, model)) => model,
-        None => MediumModel::start(params.medium, &params.medium_start()).map_err(|wrong| {
+        None => MediumModel::start(params.medium, &params.medium_start(&cameras)).map_err(|wrong| {
             ReconstructError::Parameter(OutOfRange::new("medium", params.medium.name(), wrong.to_string()))
         })?,
     };
@@ -136,14 +140,15 @@ pub fn reconstruct(
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
     let gains_used = exposes.then_some(&gains);
     let fingerprint = fingerprint(capture, found, gains_used, params, &views);
-    let cameras: Vec<_> = views.train.iter().map(|v| v.camera).collect();
     let names: Vec<String> = views.train.iter().map(|v| v.name.clone()).collect();
     for (index, view) in views.train.into_iter().enumerate() {
         if engine.upload(view)? != index {
             return Err(ReconstructError::EngineInUse);
         }
     }
-    engine.load(TrainingState::new(gaussians, water, if exposes { &gains } else { &[] }))?;
+    let mut state = TrainingState::new(gaussians, water, if exposes { &gains } else { &[] });
+    state.colors = ColorState::new(params.color_field, names.len(), params.seed);
+    engine.load(state)?;
     let mut run = ReconstructRun {
         params,
         frame: capture.frame,
@@ -169,15 +174,15 @@ pub fn reconstruct(
         growth: Vec::new(),
     };
     let session = Session {
-        steps: params.iterations,
+        steps: params.updates(),
         checkpoints: checkpoint_dir
-            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.iterations)),
+            .map(|dir| Checkpoints::new(dir, CHECKPOINT, &fingerprint, params.updates())),
         every_steps: params.checkpoint_steps,
         every_minutes: params.checkpoint_minutes,
     };
-    run.resume(&session, observer)?;
-    if let SessionEnd::Stopped { step, saved } = session.run(run.step, &mut run, observer)? {
-        return Err(ReconstructError::Interrupted { step, steps: params.iterations, saved });
+    let done = run.resume(&session, observer)?;
+    if let SessionEnd::Stopped { step, saved } = session.run(done, &mut run, observer)? {
+        return Err(ReconstructError::Interrupted { step, steps: params.updates(), saved });
     }
     run.finish(capture, observer)
 }
@@ -208,6 +213,7 @@ struct ReconstructRun<'a> {
     gaussians: usize,
     /// The step at which this process began.
     first: u64,
+    /// Steps done.
     step: u64,
     log: Vec<LogEntry>,
     window: Window,
@@ -227,12 +233,22 @@ struct ReconstructRun<'a> {
 impl Steps for ReconstructRun<'_> {
     type Error = ReconstructError;
 
-    fn step(&mut self, step: u64, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+    fn step(&mut self, number: u64, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let params = self.params;
-        let view = self.order.view(step);
-        self.engine.step(view, &self.plan(step))?;
+        let update = params.update(number);
+        let view = self.order.view(number);
+        if update.begins_water {
+            self.engine.forget_water_moments()?;
+        }
+        if !update.ends_step {
+            // The log has the step's own update alone.
+            self.drain(Drain::All)?;
+            self.engine.step(view, &self.plan(&update))?;
+            return self.check(Drain::All).map(|_| ());
+        }
+        self.engine.step(view, &self.plan(&update))?;
         self.drain(Drain::Ready)?;
-        let done = step + 1;
+        let done = update.step + 1;
         if done.is_multiple_of(params.iterations.div_ceil(STRETCHES)) || done == params.iterations {
             self.look_at_pace(view)?;
         }
@@ -264,14 +280,15 @@ impl Steps for ReconstructRun<'_> {
     }
 
     fn work(&self, steps: Range<u64>) -> f64 {
-        steps.map(|step| self.params.step_work(step)).sum()
+        steps.map(|number| self.params.update_work(number)).sum()
     }
 
     /// The [`Scene`] as if this were the last step.
     fn view(&mut self) -> Result<Option<Snapshot>, ReconstructError> {
         let medium_degree = self.degrees(self.step.saturating_sub(1)).water;
         let state = self.engine.save()?;
-        let (gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        let (mut gaussians, medium) = (state.gaussians.clone(), state.medium.clone());
+        state.colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: self.frame, medium, medium_degree, enhancement: None };
         Ok(Some(Arc::new(scene)))
     }
@@ -292,21 +309,22 @@ impl Steps for ReconstructRun<'_> {
 }
 
 impl ReconstructRun<'_> {
-    /// Resumes from the checkpoint, if there is one of this run.
-    fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
-        let Some(state) = session.furthest::<RunState<'_>>(observer) else { return Ok(()) };
+    /// Resumes from the checkpoint, if there is one of this run. Returns the number of updates done.
+    fn resume(&mut self, session: &Session, observer: &mut dyn Observer) -> Result<u64, ReconstructError> {
+        let Some(state) = session.furthest::<RunState<'_>>(observer) else { return Ok(0) };
         let gaussians = state.engine.gaussians.len();
         match self.engine.load(state.engine.into_owned()) {
             Err(EngineError::State(why)) => {
                 observer.notice(&format!(
                     "the checkpoint does not fit this scene ({why}); starting from the beginning"
                 ));
-                return Ok(());
+                return Ok(0);
             }
             other => other?,
         }
         session.tell_resumed(state.step, observer);
-        (self.first, self.step) = (state.step, state.step);
+        let Update { step, .. } = self.params.update(state.step);
+        (self.first, self.step) = (step, step);
         (self.initial, self.gaussians) = (state.initial, gaussians);
         self.log = state.log.into_owned();
         self.window = state.window;
@@ -318,7 +336,7 @@ impl ReconstructRun<'_> {
         if due && !measured && self.step < self.params.iterations {
             self.evaluate()?;
         }
-        Ok(())
+        Ok(state.step)
     }
 
     /// Completes the run after the last step.
@@ -341,10 +359,11 @@ impl ReconstructRun<'_> {
         let state = self.engine.save()?;
         let exposures = self.names.into_iter().zip(state.exposures.gains()).collect();
         // A borrowed state belongs to the engine, and an owned one to this run; only the scene is copied.
-        let (gaussians, medium) = match state {
-            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone()),
-            Cow::Owned(state) => (state.gaussians, state.medium),
+        let (mut gaussians, medium, colors) = match state {
+            Cow::Borrowed(state) => (state.gaussians.clone(), state.medium.clone(), &state.colors),
+            Cow::Owned(state) => (state.gaussians, state.medium, &ColorState::default()),
         };
+        colors.settle(&mut gaussians);
         let scene = Scene { gaussians, frame: capture.frame, medium, medium_degree, enhancement: None };
         let (log, growth, initial_gaussians) = (self.log, self.growth, self.initial);
         Ok(ReconstructOutcome {
@@ -359,22 +378,34 @@ impl ReconstructRun<'_> {
         })
     }
 
-    /// Reads the engine's reports of steps.
+    /// Reads the engine's reports of steps into the window of the log.
     fn drain(&mut self, which: Drain) -> Result<(), ReconstructError> {
-        for report in self.engine.drain(which)? {
+        let reports = self.check(which)?;
+        reports.iter().for_each(|report| self.window.add(report));
+        Ok(())
+    }
+
+    /// Reads the engine's reports, none of which may have a number that is not finite.
+    fn check(&mut self, which: Drain) -> Result<Vec<StepReport>, ReconstructError> {
+        let reports = self.engine.drain(which)?;
+        for report in &reports {
             if let Some((what, index)) = report.non_finite {
                 let view = self.names.get(report.view).cloned().unwrap_or_default();
                 return Err(NonFinite { step: report.step, view, what: what.into(), index }.into());
             }
-            self.window.add(&report);
         }
-        Ok(())
+        Ok(reports)
     }
 
     /// The active degrees in a step.
     fn degrees(&self, step: u64) -> Degrees {
         let colors = self.params.active_degree(step);
-        Degrees { colors, water: colors.max(self.least_water_degree) }
+        let water = match self.params.has_turns() {
+            true if step < self.params.water_begins() => 0,
+            true => 3,
+            false => colors.max(self.least_water_degree),
+        };
+        Degrees { colors, water }
     }
 
     /// Ends the window and adds its log line.
@@ -387,13 +418,16 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
-    /// The plan of a step.
-    fn plan(&self, step: u64) -> StepPlan {
+    /// The plan of an update.
+    fn plan(&self, update: &Update) -> StepPlan {
+        let Update { step, moves, ends_step, water_updates, .. } = *update;
         let params = self.params;
         let (mut rates, gain_rate) = params.rates(&self.phases, step);
         rates.means *= self.unit;
         StepPlan {
             step,
+            moves,
+            water_updates,
             divisor: params.divisor(step),
             degrees: self.degrees(step),
             rates,
@@ -402,7 +436,9 @@ impl ReconstructRun<'_> {
             network_clip: params.network_clip,
             exposure: (params.exposure == Exposure::PerView)
                 .then_some(ExposureStep { rate: gain_rate, weight: params.exposure_weight }),
+            colors: params.color_step(step),
             gather: (params.densify.enabled
+                && ends_step
                 && step >= params.densify.statistics_from.min(params.warm_up())
                 && step < params.densify_end())
             .then(|| params.densify.gradient_scale()),
@@ -435,8 +471,8 @@ impl ReconstructRun<'_> {
             Some(Refinement::Pause) => self.engine.forget_statistics()?,
             None => {}
         }
-        if work.ceiling {
-            self.engine.limit_opacity(self.params.densify.opacity_ceiling)?;
+        if let Some(ceiling) = work.ceiling {
+            self.engine.limit_opacity(ceiling)?;
             self.log.push(LogEntry::Ceiling { step: self.step + 1 });
             self.scatter()?;
         }
@@ -450,7 +486,7 @@ impl ReconstructRun<'_> {
     fn scatter(&mut self) -> Result<(), ReconstructError> {
         let (params, step) = (self.params, self.step);
         if params.densify.noise > 0.0 {
-            let strength = params.densify.noise * self.plan(step).rates.means;
+            let strength = params.densify.noise * (params.rates(&self.phases, step).0.means * self.unit);
             self.drain(Drain::All)?;
             self.engine.amend(&mut |scene| density::scatter(scene, strength, params.seed, step))?;
         }

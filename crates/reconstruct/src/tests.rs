@@ -1,6 +1,8 @@
 //! Tests of stage 1 as a whole: one golden step, and short runs on a tiny scene.
 
+mod colors;
 mod resume;
+mod seasplat;
 mod terms;
 mod water;
 
@@ -18,7 +20,7 @@ use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Gaussians, Options, Prepared, Rasterizer, Rendered};
 use use3d_training::{Observer, Silent, TrainingProgress};
 
-use crate::engine::{CpuEngine, Degrees, Engine, StepPlan, StepRates, TrainingState};
+use crate::engine::{CpuEngine, Degrees, Engine, Moves, StepPlan, StepRates, TrainingState};
 use crate::losses::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::{
     DepthPrior, Exposure, FoundWater, Images, Known, LoadedView, LogEntry, Medium, MediumPrior,
@@ -103,6 +105,8 @@ fn golden_stage1_step() {
         };
         let settings = StepPlan {
             step: 0,
+            moves: Moves::All,
+            water_updates: 0,
             divisor: 1,
             degrees: Degrees { colors: degree, water: degree },
             rates: NO_RATES,
@@ -110,6 +114,7 @@ fn golden_stage1_step() {
             depth_gradient: true,
             network_clip: 0.0,
             exposure: None,
+            colors: None,
             gather: None,
         };
         let loss = engine.differentiate(view, &settings).unwrap();

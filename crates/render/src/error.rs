@@ -15,6 +15,11 @@ pub enum RenderError {
     /// Water is baked as seen by cameras, and there are none.
     #[error("a look with water is baked as cameras saw it: give at least one camera")]
     NoCameras,
+    /// Water of finished images, with normalised distances or a network of the depth, cannot be baked.
+    #[error(
+        "the water `{0}` belongs to finished images and cannot be written into colours; choose the look `clear`"
+    )]
+    NoPlace(&'static str),
     /// The device of a composer failed. [`crate::Processor`] never returns this.
     #[error("drawing on {device} failed: {problem}; the CPU draws the same pictures")]
     Device {

@@ -34,6 +34,7 @@ pub(crate) fn thin(maps: &MediumMaps, share: f32, out: &mut MediumMaps) {
     out.backscatter.data_mut().copy_from_slice(maps.backscatter.data());
     out.attenuation.data_mut().copy_from_slice(maps.attenuation.data());
     out.formation = maps.formation;
+    out.network.clone_from(&maps.network);
     KeptWater([share; 3]).thin(out);
 }
 

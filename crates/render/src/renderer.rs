@@ -118,7 +118,7 @@ impl<'s> Renderer<'s> {
             Some(&self.maps)
         };
         compose(&mut *self.composer, self.grades.as_ref(), (camera, lattice), medium, layers, out)?;
-        if thinned {
+        if thinned && self.maps.network.is_none() {
             dim_open_water(&self.maps.color, self.water, out);
         }
         Ok(())
@@ -173,7 +173,7 @@ impl<'s> Renderer<'s> {
         if wet {
             self.look_through(camera, lattice);
             thin(&self.maps, share, &mut self.thinned);
-            self.thinned.color.data_mut().fill(0.0);
+            self.thinned.darken();
         }
         let grades = self.grades.as_ref().map(|(grades, _)| grades);
         let recolor = |colors: &mut [[f32; 3]]| match (channel, grades) {

@@ -69,7 +69,7 @@ impl<'s> KnownViews<'s> {
             let arriving = Image::from_planes(w, h, grey).unwrap_or_else(|| Image::new(w, h));
             return KnownView { clear, accumulation, arriving };
         }
-        self.maps.color.data_mut().fill(0.0);
+        self.maps.darken();
         self.compositor.recolor(|colors| colors.fill([1.0; 3]));
         self.compositor.draw(Some(&self.maps), &options, &mut self.rendered);
         KnownView { clear, accumulation, arriving: self.rendered.image.clone() }

@@ -148,9 +148,10 @@ pub struct GaussianGradients {
     /// given.
     pub sh: Vec<[[f32; 3]; 16]>,
     /// `Σ_p |∂L_p/∂x|, Σ_p |∂L_p/∂y|` with respect to the projected centre, summed over pixels, 1 / pixel:
-    /// the absolute-gradient statistic. With [`Options::signed_screen`](crate::Options) the sums without
-    /// the bars.
+    /// the absolute-gradient statistic.
     pub screen: Vec<[f32; 2]>,
+    /// The sums without the bars with [`Options::signed_screen`](crate::Options); otherwise empty.
+    pub signed_screen: Vec<[f32; 2]>,
     /// True if the Gaussian reached the screen (it has at least one tile).
     pub visible: Vec<bool>,
 }

@@ -34,7 +34,7 @@ pub mod ply;
 mod project;
 mod view;
 
-pub use compose::{Pairs, Rasterizer};
+pub use compose::{DepthRange, Pairs, Rasterizer};
 pub use gaussians::{GaussianGradients, Gaussians, GaussiansError};
 pub use lists::Prepared;
 pub use project::{BLUR, FAR, LOG2_255, NEAR, view_colors};

@@ -25,13 +25,16 @@ pub struct Options {
     pub depth_gradient: bool,
     /// True if [`Rendered::layers`] is filled.
     pub layers: bool,
-    /// True if [`GaussianGradients::screen`] has the gradients themselves, so that opposite ones cancel.
+    /// True if [`GaussianGradients::signed_screen`] is filled: there opposite gradients cancel.
     pub signed_screen: bool,
+    /// True if the gradients of the Gaussians are not needed. Then they may keep old values, and a pass over
+    /// the Gaussians is left out where it can be.
+    pub water_only: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { depth_gradient: true, layers: false, signed_screen: false }
+        Self { depth_gradient: true, layers: false, signed_screen: false, water_only: false }
     }
 }
 

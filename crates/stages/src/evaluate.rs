@@ -566,7 +566,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             Some(Appearance::Water) | None => Method::Enhanced,
         },
         water: truth
-            .filter(|_| !scene.medium.is_none())
+            .filter(|_| !scene.medium.is_none() && scene.medium.kind().is_per_length())
             .and_then(|truth| truth.water(water[0], water[1], scale)),
         methods: methods.collect(),
     };

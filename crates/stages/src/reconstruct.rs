@@ -77,7 +77,7 @@ pub(crate) mod definition {
             .agrees_across_classes(&FIGURES)
             .usually_costs(3.0, 0.0194)
             .expects(|all, named, inputs| {
-                of_training((all.of::<ReconstructParams>()?.iterations, 1.0), (all, named), inputs)
+                of_training((all.of::<ReconstructParams>()?.updates(), 1.0), (all, named), inputs)
             })
             .cost(0, 4 << 30)
             .memory(|p: &ReconstructParams, inputs| {

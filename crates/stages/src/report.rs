@@ -506,6 +506,9 @@ fn water(parts: &ResultFolders<'_>) -> Result<Vec<PlotFigure>, StageError> {
     let paths = parts.path("reconstruct").zip(parts.path("import"));
     let Some((scene, import)) = paths else { return Ok(Vec::new()) };
     let scene = Scene::load(scene)?;
+    if !scene.medium.kind().is_per_length() {
+        return Ok(Vec::new());
+    }
     let capture = use3d_import::load_prepared(import)?.capture;
     let cameras: Vec<Camera> = capture.training_views().map(|v| v.camera).collect();
     let Some(view) = capture.training_views().next() else { return Ok(Vec::new()) };

@@ -67,6 +67,7 @@ fn golden_field_outputs_and_gradients() {
             backscatter: image(&case, "in.beta_bs"),
             attenuation: image(&case, "in.beta_attn"),
             formation: Formation::default(),
+            network: None,
         });
         let mut pass = WaterPass::default();
         let mut maps = MediumMaps::zeros(0, 0);
@@ -92,6 +93,7 @@ fn golden_field_outputs_and_gradients() {
                     backscatter: image(&case, "cot.beta_bs_plus"),
                     attenuation: image(&case, "cot.beta_attn_plus"),
                     formation: Formation::default(),
+                    network: None,
                 };
                 pass.backward(&field, camera, &water, &d_maps, &mut gradient);
             }

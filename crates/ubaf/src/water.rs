@@ -142,6 +142,7 @@ impl WaterPass {
         let (w, h) = (water.maps.color.width(), water.maps.color.height());
         out.resize(w, h);
         out.formation = water.maps.formation;
+        out.network.clone_from(&water.maps.network);
         let level = self.level;
         let logs = water.signed_logs.planes();
         let color = water.maps.color.planes();

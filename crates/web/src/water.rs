@@ -18,12 +18,21 @@ fn flat(coefficients: &Coefficients) -> &[f32] {
     coefficients.as_flattened().as_flattened()
 }
 
+/// True if the page draws the scene's water. It has no place for distances that are normalised in each view,
+/// nor for a network of the depth.
+fn drawn(scene: &Scene) -> bool {
+    scene.medium.kind().is_per_length()
+}
+
 /// The water's entry in the header.
 pub(crate) fn entry(scene: &Scene) -> Value {
     let kind = scene.medium.kind().name();
     let degree = scene.medium_degree.min(3);
     if scene.medium.is_none() {
         return json!({ "kind": kind });
+    }
+    if !drawn(scene) {
+        return json!({ "kind": "none", "of": kind });
     }
     let Some(harmonics) = scene.medium.harmonics() else {
         return json!({ "kind": kind, "degree": 3, "side": SIDE });
@@ -56,7 +65,7 @@ const FACES: [[[f64; 3]; 3]; 6] = [
 /// The baked cube map of water that is not made of harmonics: colour, backscatter, attenuation, each six
 /// faces of RGBA half floats. `None` for other waters.
 pub(crate) fn cube(scene: &Scene) -> Option<Vec<u8>> {
-    if scene.medium.is_none() || scene.medium.harmonics().is_some() {
+    if scene.medium.is_none() || scene.medium.harmonics().is_some() || !drawn(scene) {
         return None;
     }
     let half_side = SIDE as f64 / 2.0;

@@ -57,7 +57,8 @@ impl SizeArgs {
 /// The method and the preset.
 #[derive(Clone, Debug, Default, Args)]
 struct PresetArgs {
-    /// Train this method with its authors' schedule: 3dgs, water-splatting, plenodium, 3d-use.
+    /// Train this method with its authors' schedule: 3dgs, seasplat, water-splatting, plenodium, 3d-uir,
+    /// marinestd-gs, 3d-use.
     #[arg(long, value_name = "NAME")]
     method: Option<String>,
     /// Take the values of this preset in place of the defaults (`use3d params --preset NAME` lists them).

@@ -100,8 +100,8 @@ pub(crate) struct PipelinesArgs {
 pub(crate) struct ParamsArgs {
     /// Only this stage.
     pub(crate) stage: Option<String>,
-    /// Show the values of this preset instead of the defaults: paper, 3d-use, 3dgs, water-splatting,
-    /// plenodium.
+    /// Show the values of this preset instead of the defaults: paper, 3d-use, 3dgs, seasplat,
+    /// water-splatting, plenodium, 3d-uir, marinestd-gs.
     #[arg(long, value_name = "NAME")]
     pub(crate) preset: Option<String>,
     /// One JSON document on stdout.

@@ -20,8 +20,8 @@ use std::collections::VecDeque;
 use use3d_capture::{Camera, Image};
 use use3d_medium::MediumModel;
 use use3d_reconstruct::density::{self, Draws, Origin, Survey};
-use use3d_reconstruct::engine::{Degrees, Engine, StepPlan, StepReport, TrainingState};
-use use3d_reconstruct::{Exposures, TrainingView, ViewParameters};
+use use3d_reconstruct::engine::{Degrees, Engine, Moves, StepPlan, StepReport, TrainingState};
+use use3d_reconstruct::{ColorState, Exposures, TrainingView, ViewParameters};
 use use3d_splat::Gaussians;
 use use3d_training::guard::first_non_finite;
 use use3d_training::{Drain, EngineError};
@@ -245,6 +245,12 @@ impl Engine for Stage1 {
 
     fn load(&mut self, state: TrainingState) -> Result<(), EngineError> {
         state.check(self.targets.views.len())?;
+        if !state.colors.is_off() {
+            return self.refused(format!(
+                "the colour field `{}` runs only on the processor",
+                state.colors.field.name()
+            ));
+        }
         self.asked.clear();
         self.done.clear();
         self.surveyed = None;
@@ -273,6 +279,7 @@ impl Engine for Stage1 {
             medium,
             medium_moments,
             exposures: Exposures { log_gains: self.gains.read(gpu)? },
+            colors: ColorState::default(),
         }))
     }
 
@@ -280,6 +287,9 @@ impl Engine for Stage1 {
         let views = self.targets.views.len();
         if view >= views {
             return self.refused(format!("view {view} was not uploaded; there are {views}"));
+        }
+        if plan.moves != Moves::All {
+            return self.refused("turns of the water or the colours run on the processor alone".into());
         }
         self.surveyed = None;
         if self.asked.len() >= UNDER_WAY {

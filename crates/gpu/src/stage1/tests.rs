@@ -7,7 +7,7 @@ use use3d_capture::{FileName, Map, Pixels, Raster, View};
 use use3d_medium::{MediumKind, MediumModel, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_reconstruct::engine::{CpuEngine, GradientScale, StepRates};
+use use3d_reconstruct::engine::{CpuEngine, GradientScale, Moves, StepRates};
 use use3d_reconstruct::{ExposureStep, LoadedView};
 
 use super::*;
@@ -67,7 +67,7 @@ fn views() -> Vec<TrainingView> {
 }
 
 fn state(n: usize, log_scale: f32) -> TrainingState {
-    let start = MediumStart { anchors: 5, top_k: 3, seed: 4 };
+    let start = MediumStart { anchors: 5, top_k: 3, seed: 4, views: Vec::new() };
     let mut water = MediumModel::start(MediumKind::Rbf, &start).unwrap();
     let stream = Stream::new(9, Purpose::new("water for an engine"), 0);
     let values: Vec<f32> = (0..).zip(water.flat()).map(|(i, v)| v + 0.05 * stream.normal(i) as f32).collect();
@@ -84,17 +84,21 @@ fn weights() -> Vec<f64> {
 fn plan(step: u64) -> StepPlan {
     StepPlan {
         step,
+        moves: Moves::All,
+        water_updates: step,
         divisor: if step % 5 == 4 { 2 } else { 1 },
         degrees: Degrees { colors: (step as usize / 2).min(3), water: (step as usize / 3).min(3) },
         rates: RATES,
         weights: weights(),
         depth_gradient: step % 4 != 3,
         network_clip: 0.0,
+        colors: None,
         exposure: Some(ExposureStep { rate: 1e-3, weight: 1e-2 }),
         gather: (step % 3 != 2).then_some(GradientScale {
             reference_pixels: 1000,
             exponent: 0.5,
             signed: false,
+            both: false,
         }),
     }
 }

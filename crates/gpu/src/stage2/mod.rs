@@ -161,7 +161,7 @@ impl<'a> Stage2<'a> {
     ) -> Result<Self, EnhanceError> {
         check_inputs(scene, views, guidance, params)?;
         let kind = scene.medium.kind();
-        if guidance.appearance() == Appearance::Water && kind.formation() == Formation::PerImage {
+        if guidance.appearance() == Appearance::Water && kind.formation() != Formation::PerGaussian {
             let name = kind.name();
             let what = format!(
                 "the water `{name}` is laid over finished images, which only the processor does; use \

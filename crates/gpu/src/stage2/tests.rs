@@ -34,7 +34,8 @@ fn views() -> Vec<EnhanceView> {
 }
 
 fn scene(n: usize, kind: MediumKind) -> Scene {
-    let mut medium = MediumModel::start(kind, &MediumStart { anchors: 5, top_k: 3, seed: 4 }).unwrap();
+    let mut medium =
+        MediumModel::start(kind, &MediumStart { anchors: 5, top_k: 3, seed: 4, views: Vec::new() }).unwrap();
     let stream = Stream::new(9, Purpose::new("water for stage 2"), 0);
     let values: Vec<f32> = (0..).zip(medium.flat()).map(|(i, v)| v + 0.1 * stream.normal(i) as f32).collect();
     assert!(medium.set_flat(&values));

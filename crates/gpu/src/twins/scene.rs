@@ -9,7 +9,7 @@ use use3d_capture::{
 use use3d_enhance::EnhanceView;
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
-use use3d_reconstruct::engine::{Degrees, StepPlan, StepRates, TrainingState};
+use use3d_reconstruct::engine::{Degrees, Moves, StepPlan, StepRates, TrainingState};
 use use3d_reconstruct::{LoadedView, ReconstructParams, TrainingView, losses};
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
@@ -146,6 +146,8 @@ impl SceneSize {
         let r = &params.learning_rates;
         StepPlan {
             step,
+            moves: Moves::All,
+            water_updates: step,
             divisor: 1,
             degrees: Degrees { colors: 3, water: 3 },
             rates: StepRates {
@@ -162,6 +164,7 @@ impl SceneSize {
             weights: losses::weights(&params, step),
             depth_gradient: true,
             network_clip: 0.0,
+            colors: None,
             exposure: None,
             gather: Some(params.densify.gradient_scale()),
         }

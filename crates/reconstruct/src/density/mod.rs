@@ -60,6 +60,8 @@ pub struct RefineSettings {
     pub grow: bool,
     /// Mean absolute screen gradient above which they are split or duplicated.
     pub gradient_threshold: f64,
+    /// Mean absolute screen gradient above which they are split, if another one decides on duplicates.
+    pub split_threshold: Option<f64>,
     /// Largest standard deviation of a duplicate.
     pub split_scale: f64,
     /// Opacity below which Gaussians are removed.
@@ -100,7 +102,13 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     let mut report = RefineReport::default();
     let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
-    let pull = |i: usize| statistics.mean(i);
+    // In units of the threshold of duplicates, so that splits and duplicates can be compared.
+    let pull = |i: usize| match settings.split_threshold {
+        Some(split) if largest(i) > settings.split_scale => {
+            statistics.absolute_mean(i) * settings.gradient_threshold / split
+        }
+        _ => statistics.mean(i),
+    };
     let pulled = |i: usize| pull(i) > settings.gradient_threshold;
     let wide = |i: usize| largest(i) > settings.split_scale;
     let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
@@ -164,6 +172,7 @@ mod tests {
     const SETTINGS: RefineSettings = RefineSettings {
         grow: true,
         gradient_threshold: 8e-4,
+        split_threshold: None,
         split_scale: 1e-3,
         cull_opacity: 0.5,
         cull_scale: 10.0,
@@ -262,6 +271,21 @@ mod tests {
         assert_eq!((report.split, report.culled), (1, 3));
         let (rows, _) = plan(&s, &RefineSettings { floor: 0, ..limits });
         assert_eq!(rows, [Origin::Kept(4)], "before growth the first is too large, too");
+    }
+
+    #[test]
+    fn absolute_gradients_split_and_signed_ones_duplicate() {
+        // Two large and two small Gaussians. One of each has a signed gradient, and one an absolute one.
+        let (_, mut s) = scene(&[(3.0, 0.1, 3e-4), (3.0, 0.1, 0.0), (3.0, 5e-4, 3e-4), (3.0, 5e-4, 0.0)]);
+        let absolute = [0.0, 5e-4, 0.0, 5e-4].map(|norm: f32| 4.0 * norm);
+        s.statistics.norms.extend(absolute);
+        let settings = RefineSettings { gradient_threshold: 2e-4, split_threshold: Some(4e-4), ..SETTINGS };
+        use Origin::*;
+        let (rows, report) = plan(&s, &settings);
+        assert_eq!(rows, [Kept(0), Kept(2), Kept(3), Child(1, 0), Child(1, 1), Twin(2)]);
+        assert_eq!((report.split, report.duplicated), (1, 1));
+        let (rows, _) = plan(&s, &RefineSettings { split_threshold: Some(5.1e-4), ..settings });
+        assert_eq!(rows, [Kept(0), Kept(1), Kept(2), Kept(3), Twin(2)]);
     }
 
     #[test]

@@ -4,12 +4,12 @@ use super::RefineSettings;
 use crate::{ReconstructParams, Strategy};
 
 /// The work of density control after a step.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct DensityWork {
     /// The statistics of the screen gradients are used or forgotten.
     pub(crate) refinement: Option<Refinement>,
-    /// Opacities are lowered to the ceiling afterwards.
-    pub(crate) ceiling: bool,
+    /// Opacities are lowered to this afterwards.
+    pub(crate) ceiling: Option<f64>,
 }
 
 /// The use of the statistics that were gathered since the last one.
@@ -35,7 +35,10 @@ impl ReconstructParams {
             let done = step + 1;
             let at = |every: u64| done < self.densify_end() && done.is_multiple_of(every);
             let refinement = at(d.every).then_some(Refinement::Grow);
-            return DensityWork { refinement, ceiling: at(d.period) && !self.is_gentle() };
+            let lower = [(d.period, d.opacity_ceiling), (d.lower_every, d.lower_to)];
+            let mut due = lower.into_iter().filter(|(every, _)| *every > 0 && at(*every));
+            let ceiling = due.next().filter(|_| !self.is_gentle()).map(|(_, most)| most);
+            return DensityWork { refinement, ceiling };
         }
         let growing = step < self.densify_end();
         let ceilings = growing && !self.is_gentle();
@@ -46,7 +49,8 @@ impl ReconstructParams {
             (true, false) => Refinement::Grow,
             (false, false) => Refinement::Cull,
         });
-        DensityWork { refinement, ceiling: ceilings && phase == d.every % d.period }
+        let ceiling = (ceilings && phase == d.every % d.period).then_some(d.opacity_ceiling);
+        DensityWork { refinement, ceiling }
     }
 
     /// The settings of a refinement after `step` of a scene that began with `initial` Gaussians and may have
@@ -65,6 +69,7 @@ impl ReconstructParams {
         RefineSettings {
             grow,
             gradient_threshold: d.gradient_threshold,
+            split_threshold: d.compares_both().then_some(d.split_threshold),
             split_scale: unit * d.split_scale,
             cull_opacity: self.cull_opacity(grow),
             cull_scale: limit(unit * d.cull_scale),
@@ -130,10 +135,14 @@ mod tests {
             assert_eq!(refinement(Refinement::Grow), of_each_block(grows), "{views} views");
             let late: Vec<u64> = (100..150).map(|hundreds| 100 * hundreds).collect();
             assert_eq!(refinement(Refinement::Cull), late, "{views} views");
-            assert_eq!(steps(&params, views, |work| work.ceiling), of_each_block(&[100]), "{views} views");
+            assert_eq!(
+                steps(&params, views, |work| work.ceiling.is_some()),
+                of_each_block(&[100]),
+                "{views} views"
+            );
         }
         // Blocks 2 to 19 have a ceiling: those of steps 100 and 600 are in the warm-up.
-        let ceilings = steps(&params, 18, |work| work.ceiling);
+        let ceilings = steps(&params, 18, |work| work.ceiling.is_some());
         assert_eq!((ceilings.len(), ceilings[0], ceilings[17]), (18, 1100, 9600));
     }
 
@@ -143,7 +152,7 @@ mod tests {
         params.densify.gentle_below = 15_001;
         let every: Vec<u64> = (7..100).map(|hundreds| 100 * hundreds).collect();
         assert_eq!(steps(&params, 18, |work| work.refinement == Some(Refinement::Grow)), every);
-        assert!(steps(&params, 18, |work| work.ceiling).is_empty());
+        assert!(steps(&params, 18, |work| work.ceiling.is_some()).is_empty());
         params.densify.enabled = false;
         assert!(steps(&params, 18, |work| work != DensityWork::default()).is_empty());
     }
@@ -159,11 +168,16 @@ mod tests {
         assert!(
             steps(&params, 18, |work| !matches!(work.refinement, None | Some(Refinement::Grow))).is_empty()
         );
-        assert_eq!(steps(&params, 18, |work| work.ceiling), [2999, 5999, 8999]);
+        assert_eq!(steps(&params, 18, |work| work.ceiling.is_some()), [2999, 5999, 8999]);
         let at = |step| params.refine_settings(true, (step, 2.0), 5000, 70_000);
         assert_eq!((at(2999).cull_scale, at(2999).cull_radius), (f64::INFINITY, f64::INFINITY));
         assert_eq!((at(3099).cull_scale, at(3099).cull_radius, at(3099).split_scale), (0.2, 20.0, 0.02));
         assert_eq!(at(0).after_growth, Some(params.densify.shrink));
+        // 3D-UIR lowers opacities between two ceilings, too.
+        (params.densify.lower_every, params.densify.lower_to) = (500, 0.8);
+        let lowered: Vec<_> = [2499, 2999, 3499].map(|step| params.density_work(step, 18).ceiling).into();
+        assert_eq!(lowered, [Some(0.8), Some(params.densify.opacity_ceiling), Some(0.8)]);
+        assert_eq!(steps(&params, 18, |work| work.ceiling.is_some()).len(), 18);
     }
 
     #[test]
@@ -172,6 +186,7 @@ mod tests {
         let expected = RefineSettings {
             grow: true,
             gradient_threshold: 8e-4,
+            split_threshold: None,
             split_scale: 1e-3,
             cull_opacity: 0.5,
             cull_scale: 10.0,

@@ -11,7 +11,7 @@ use use3d_numerics::adam::{Adam, AdamScalars};
 use use3d_numerics::spherical_harmonics::bands;
 use use3d_splat::{GaussianGradients, Gaussians};
 
-use super::{Moments, StepRates};
+use super::{Moments, Moves, StepRates};
 
 /// A task gets this many Gaussians' coefficients, or four times as many floats of another array.
 const CHUNK: usize = 1024;
@@ -34,10 +34,11 @@ fn numbers(gaussians: &mut Gaussians) -> [&mut [f32]; 5] {
 }
 
 impl Moments {
-    /// Updates all arrays once; returns the first array with a value that is not finite, and the index.
+    /// Updates all arrays once, or the colours alone; returns the first array with a value that is not
+    /// finite, and the index.
     pub(crate) fn update(
         &mut self,
-        step: u64,
+        (step, moves): (u64, Moves),
         rates: &StepRates,
         degree: usize,
         parameters: &mut Gaussians,
@@ -58,7 +59,8 @@ impl Moments {
         let moments = numbers(&mut self.first).into_iter().zip(numbers(&mut self.second));
         let arrays = numbers(parameters).into_iter().zip(gradients).zip(moments).zip(NAMES);
         let mut bad = None;
-        for (k, (((p, g), (m, v)), name)) in arrays.enumerate() {
+        let first = if moves == Moves::Colors { plain.len() } else { 0 };
+        for (k, (((p, g), (m, v)), name)) in arrays.enumerate().skip(first) {
             let chunk = if k < plain.len() { 4 * CHUNK } else { COEFFICIENTS * CHUNK };
             let found = p
                 .par_chunks_mut(chunk)
@@ -176,7 +178,10 @@ mod tests {
         let (before, slopes) = (parameters.clone(), random(n, 2));
         let mut moments = Moments::new(&parameters);
         for step in 0..3 {
-            assert_eq!(moments.update(step, &RATES, 1, &mut parameters, &gradients(&slopes)), None);
+            assert_eq!(
+                moments.update((step, Moves::All), &RATES, 1, &mut parameters, &gradients(&slopes)),
+                None
+            );
         }
         let plain = |from: &[f32], g: &[f32], rate: f64| {
             let (mut p, mut m, mut v) = (from.to_vec(), vec![0.0; g.len()], vec![0.0; g.len()]);
@@ -196,6 +201,11 @@ mod tests {
         assert_eq!(row(&parameters, 3..12), plain(&row(&before, 3..12), &row(&slopes, 3..12), 3e-3));
         // Above the active degree nothing changes.
         assert_eq!(row(&parameters, 12..48), row(&before, 12..48));
+        let (all, kept) = (parameters.clone(), moments.clone());
+        moments.update((3, Moves::Colors), &RATES, 1, &mut parameters, &gradients(&slopes));
+        assert_ne!(parameters.sh, all.sh);
+        assert_eq!(Gaussians { sh: all.sh.clone(), ..parameters }, all);
+        assert_eq!(Gaussians { sh: kept.first.sh.clone(), ..moments.first }, kept.first);
     }
 
     #[test]
@@ -205,7 +215,7 @@ mod tests {
         slopes.quaternions[1500][2] = f32::NAN;
         slopes.sh[3][0][1] = f32::INFINITY;
         let mut moments = Moments::new(&parameters);
-        let bad = moments.update(0, &RATES, 0, &mut parameters, &slopes);
+        let bad = moments.update((0, Moves::All), &RATES, 0, &mut parameters, &slopes);
         assert_eq!(bad, Some(("quaternions", Some(6002))));
     }
 }

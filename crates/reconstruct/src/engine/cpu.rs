@@ -11,7 +11,8 @@ use use3d_splat::{
 };
 use use3d_training::{Drain, EngineError, Profile};
 
-use super::{Degrees, Engine, Statistics, StepPlan, StepReport, TrainingState};
+use super::{Degrees, Engine, Moves, Statistics, StepPlan, StepReport, TrainingState};
+use crate::colors::restore;
 use crate::density::{self, Draws, Origin, Survey};
 use crate::exposure::{expose, expose_backward};
 use crate::losses::{Loss, LossTerm, Losses, Observation, TERMS, ViewGradients};
@@ -45,6 +46,9 @@ struct Buffers {
     /// The rendered image with the view's gain.
     exposed: Image,
     exposure_gradient: [f64; 3],
+    /// The scene's constant coefficients, while the Gaussians have those that the view shows.
+    own_colors: Vec<[f32; 3]>,
+    color_gradient: Vec<f32>,
     gradients: GaussianGradients,
     map_gradients: MediumMaps,
 }
@@ -87,7 +91,7 @@ impl CpuEngine {
             let what = format!("the plan has {given} weights of the loss, expected {needed}");
             return Err(EngineError::Request { engine: NAME, what });
         }
-        let (b, state) = (&mut self.buffers, &self.state);
+        let (b, state) = (&mut self.buffers, &mut self.state);
         let profile = &mut self.profile;
         profile.start();
         let camera = self.views[view].target(plan.divisor, &mut b.target);
@@ -100,11 +104,15 @@ impl CpuEngine {
         let maps = water.then_some(&b.maps);
         let gain = plan.exposure.map(|_| state.exposures.gain(view));
         profile.lap(StepPart::Water);
+        if plan.colors.is_some() {
+            state.colors.show(Some(view), &mut state.gaussians, &mut b.own_colors);
+        }
         b.prepared.prepare(&state.gaussians, &camera, &lattice, Colors::Sh { degree: plan.degrees.colors });
         profile.lap(StepPart::Project);
         let options = Options {
             depth_gradient: plan.depth_gradient,
-            layers: false,
+            layers: self.losses.read_clear(&plan.weights),
+            water_only: plan.moves == Moves::Water && plan.colors.is_none(),
             signed_screen: plan.gather.is_some_and(|scale| scale.signed),
         };
         b.rasterizer.forward(&b.prepared, maps, &options, &mut b.rendered);
@@ -116,26 +124,33 @@ impl CpuEngine {
             }
             None => &b.rendered.image,
         };
-        let loss = self.losses.evaluate(
+        let mut loss = self.losses.evaluate(
             &Observation {
                 step: plan.step,
                 camera: &camera,
                 image: shown,
+                clear: b.rendered.layers.as_ref().map(|layers| &layers.clear),
                 depth: &b.rendered.depth,
                 accumulation: &b.rendered.accumulation,
                 water: maps,
                 target: &b.target,
+                gaussians: &state.gaussians,
+                prepared: &b.prepared,
             },
             &plan.weights,
         );
-        let ViewGradients { image, depth, accumulation, .. } = &mut self.losses.gradients;
+        let ViewGradients { image, clear, depth, accumulation, .. } = &mut self.losses.gradients;
         let image = image.or_zeros(shown.width(), shown.height());
         if let Some(gain) = gain {
             b.exposure_gradient = expose_backward(&b.exposed, gain, image);
         }
         profile.lap(StepPart::Loss);
-        let d_rendered =
-            RenderGradients { image, depth: depth.get(), accumulation: accumulation.get(), clear: None };
+        let d_rendered = RenderGradients {
+            image,
+            depth: depth.get(),
+            accumulation: accumulation.get(),
+            clear: clear.get(),
+        };
         b.rasterizer.backward(
             &b.prepared,
             ViewOf { gaussians: &state.gaussians, camera: &camera },
@@ -144,6 +159,19 @@ impl CpuEngine {
             &d_rendered,
             Gradients { gaussians: &mut b.gradients, medium: water.then_some(&mut b.map_gradients) },
         );
+        if let Some(colors) = &plan.colors {
+            restore(&mut state.gaussians, &b.own_colors);
+            loss.total += colors.weight
+                * state.colors.backward(
+                    view,
+                    colors.weight,
+                    &state.gaussians,
+                    &b.own_colors,
+                    &mut b.gradients,
+                    &mut b.color_gradient,
+                );
+        }
+        self.losses.gradients.add_scales(&mut b.gradients.log_scales);
         profile.lap(StepPart::ComposeBackward);
         if water {
             self.losses.gradients.add_water(&mut b.map_gradients);
@@ -167,6 +195,12 @@ impl CpuEngine {
         (&self.buffers.gradients, &self.medium_gradient)
     }
 
+    /// The gradient of the colour field that [`CpuEngine::differentiate`] computed.
+    #[cfg(test)]
+    pub(crate) fn color_gradient(&self) -> &[f32] {
+        &self.buffers.color_gradient
+    }
+
     /// The view that [`CpuEngine::differentiate`] rendered.
     #[cfg(test)]
     pub(crate) fn rendered(&self) -> &Rendered {
@@ -188,7 +222,7 @@ impl CpuEngine {
             };
             let range = offset..offset + values.len();
             let (m, v) = (&mut first[range.clone()], &mut second[range]);
-            Adam::SPLATTING.update(plan.step + 1, rate, values, gradient, m, v);
+            Adam::SPLATTING.update(plan.water_updates + 1, rate, values, gradient, m, v);
             finite &= values.iter().all(|v| v.is_finite());
         });
         finite
@@ -199,23 +233,35 @@ impl CpuEngine {
     fn update(&mut self, view: usize, plan: &StepPlan) -> Option<(&'static str, Option<usize>)> {
         self.profile.start();
         let state = &mut self.state;
-        let mut non_finite = state.moments.update(
-            plan.step,
-            &plan.rates,
-            plan.degrees.colors,
-            &mut state.gaussians,
-            &self.buffers.gradients,
-        );
-        if !self.update_medium(plan) && non_finite.is_none() {
+        let mut non_finite = None;
+        if plan.moves != Moves::Water {
+            non_finite = state.moments.update(
+                (plan.step, plan.moves),
+                &plan.rates,
+                plan.degrees.colors,
+                &mut state.gaussians,
+                &self.buffers.gradients,
+            );
+        }
+        let flows = matches!(plan.moves, Moves::All | Moves::Water);
+        if flows && !self.update_medium(plan) && non_finite.is_none() {
             let index = use3d_training::guard::first_non_finite(&self.state.medium.flat());
             non_finite = Some(("the water's parameters", index));
         }
         let state = &mut self.state;
-        if let Some(exposure) = &plan.exposure {
+        if let Some(exposure) = &plan.exposure
+            && matches!(plan.moves, Moves::All | Moves::Gaussians)
+        {
             state.exposures.update(view, self.buffers.exposure_gradient, exposure);
             if !state.exposures.log_gains.is_finite() && non_finite.is_none() {
                 non_finite = Some(("the views' gains", None));
             }
+        }
+        if let Some(colors) = &plan.colors
+            && !state.colors.update(plan.step, colors.rates, &self.buffers.color_gradient)
+            && non_finite.is_none()
+        {
+            non_finite = Some(("the colour field", None));
         }
         self.profile.lap(StepPart::Adam);
         if let Some(scale) = plan.gather {
@@ -224,7 +270,7 @@ impl CpuEngine {
             // Pixels are counted at full size for every divisor: the pyramid's larger gradients are part of
             // the method.
             let pixels = (width * plan.divisor) as f64 * (height * plan.divisor) as f64;
-            state.statistics.gather(&self.buffers.gradients, width, height, scale.at(pixels));
+            state.statistics.gather(&self.buffers.gradients, width, height, &scale, pixels);
             if scale.signed {
                 state.statistics.radii.resize(state.gaussians.len(), 0.0);
                 self.buffers.prepared.raise_radii(&mut state.statistics.radii);
@@ -255,7 +301,11 @@ impl Engine for CpuEngine {
     }
 
     fn step(&mut self, view: usize, plan: &StepPlan) -> Result<(), EngineError> {
-        let loss = self.differentiate(view, plan)?;
+        let mut loss = self.differentiate(view, plan)?;
+        if plan.colors.is_some_and(|colors| colors.alone) && loss.total.is_finite() {
+            // The gradient of the field stays; those of Gaussians and water come from a view without it.
+            loss = self.differentiate(view, &StepPlan { colors: None, ..plan.clone() })?;
+        }
         let non_finite =
             if loss.total.is_finite() { self.update(view, plan) } else { Some(("the loss", None)) };
         self.reports.push(StepReport {
@@ -332,9 +382,13 @@ impl Engine for CpuEngine {
 
     fn render(&mut self, camera: &Camera, degrees: Degrees, out: &mut Image) -> Result<(), EngineError> {
         let lattice = Lattice::full(&camera.intrinsics);
-        let (b, state) = (&mut self.buffers, &self.state);
+        let (b, state) = (&mut self.buffers, &mut self.state);
         state.medium.maps(camera, &lattice, degrees.water, &mut b.maps);
+        state.colors.show(None, &mut state.gaussians, &mut b.own_colors);
         b.prepared.prepare(&state.gaussians, camera, &lattice, Colors::Sh { degree: degrees.colors });
+        if !state.colors.is_off() {
+            restore(&mut state.gaussians, &b.own_colors);
+        }
         let maps = (!state.medium.is_none()).then_some(&b.maps);
         b.rasterizer.forward(&b.prepared, maps, &Options::default(), &mut b.rendered);
         out.clone_from(&b.rendered.image);

@@ -27,15 +27,15 @@ mod state;
 use std::borrow::Cow;
 
 use use3d_capture::{Camera, Image};
-use use3d_numerics::math;
 use use3d_splat::Gaussians;
 use use3d_training::{Drain, EngineError, Profile};
 
 pub use cpu::CpuEngine;
 #[cfg(test)]
 pub(crate) use state::zeros;
-pub use state::{Moments, Statistics, TrainingState};
+pub use state::{GradientScale, Moments, Statistics, TrainingState};
 
+use crate::colors::ColorStep;
 use crate::density::{Draws, Origin, Survey};
 use crate::exposure::ExposureStep;
 use crate::profile::StepPart;
@@ -73,11 +73,29 @@ pub struct Degrees {
     pub water: usize,
 }
 
+/// The parameters that an update moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Moves {
+    /// All of them.
+    #[default]
+    All,
+    /// Those of Gaussians and views, and not those of the water.
+    Gaussians,
+    /// The Gaussians' colours alone.
+    Colors,
+    /// Those of the water alone.
+    Water,
+}
+
 /// The settings of one step. The same plan on the same state gives the same step, so steps can be repeated.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StepPlan {
     /// The step, from 0.
     pub step: u64,
+    /// The parameters that move.
+    pub moves: Moves,
+    /// Number of earlier moves of the water, for Adam's corrections.
+    pub water_updates: u64,
     /// Image divisor.
     pub divisor: usize,
     /// Active degrees.
@@ -93,29 +111,10 @@ pub struct StepPlan {
     pub network_clip: f64,
     /// The settings by which the view's gain is learnt; `None` if every gain is one.
     pub exposure: Option<ExposureStep>,
+    /// The settings by which the colour field is learnt; `None` if views show the scene's own colours.
+    pub colors: Option<ColorStep>,
     /// The scale of screen gradients for the size of the images; `None` if none are gathered.
     pub gather: Option<GradientScale>,
-}
-
-/// The scale of screen gradients for the size of the images: `(pixels / reference_pixels)^exponent`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct GradientScale {
-    /// Number of pixels for which the threshold of density control is meant; 0: the scale is always 1.
-    pub reference_pixels: u64,
-    /// Its exponent, 0 to 1.
-    pub exponent: f64,
-    /// True if opposite gradients of a Gaussian cancel and radii are kept; else absolute values are summed.
-    pub signed: bool,
-}
-
-impl GradientScale {
-    /// The scale for an image with this many pixels.
-    pub fn at(&self, pixels: f64) -> f32 {
-        match self.reference_pixels {
-            0 => 1.0,
-            reference => math::powf(pixels / reference as f64, self.exponent) as f32,
-        }
-    }
 }
 
 /// The result of a step.

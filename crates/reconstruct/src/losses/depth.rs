@@ -95,8 +95,9 @@ fn disparity(depth: f32) -> f32 {
     1.0 / (DEPTH_SCALE * depth.max(DEPTH_FLOOR) + 1.0)
 }
 
+/// True if both are finite and positive.
 #[inline(always)]
-fn counts(depth: f32, prior: f32) -> bool {
+pub(super) fn known(depth: f32, prior: f32) -> bool {
     // NaN compares false; infinity is excluded explicitly.
     prior > 0.0 && prior < f32::INFINITY && depth > 0.0 && depth < f32::INFINITY
 }
@@ -106,7 +107,7 @@ fn moments(depth: &[f32], prior: &[f32]) -> [f64; 6] {
     const WAYS: usize = 8;
     let mut sums = [[0.0f64; WAYS]; 6];
     let add = |sums: &mut [[f64; WAYS]; 6], way: usize, depth: f32, prior: f32| {
-        let valid = counts(depth, prior);
+        let valid = known(depth, prior);
         let (d, p) = if valid { (f64::from(disparity(depth)), f64::from(prior)) } else { (0.0, 0.0) };
         for (sum, term) in sums.iter_mut().zip([f64::from(u8::from(valid)), d, p, d * d, p * p, d * p]) {
             sum[way] += term;
@@ -131,6 +132,6 @@ fn backward(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, ot
         let d_disparity = own * (d - mean_d) + other * (prior - mean_p);
         // d d / d D = −10 d²; zero below the floor.
         let d_depth = if depth > DEPTH_FLOOR { -DEPTH_SCALE * d * d } else { 0.0 };
-        *g = if counts(depth, prior) { d_disparity * d_depth } else { 0.0 };
+        *g = if known(depth, prior) { d_disparity * d_depth } else { 0.0 };
     }
 }

@@ -45,6 +45,8 @@ impl<const C: usize> Slot<C> {
 pub struct ViewGradients {
     /// Gradient with respect to the image as it is [shown](super::Observation::image).
     pub image: Slot<3>,
+    /// Gradient with respect to the clear image.
+    pub clear: Slot<3>,
     /// Gradient with respect to expected depth.
     pub depth: Slot<1>,
     /// Gradient with respect to accumulation.
@@ -55,15 +57,32 @@ pub struct ViewGradients {
     pub backscatter: Slot<3>,
     /// Gradient with respect to the attenuation coefficient.
     pub attenuation: Slot<3>,
+    /// Gradient with respect to the log standard deviations of all Gaussians; empty until a term adds one.
+    log_scales: Vec<[f32; 3]>,
 }
 
 impl ViewGradients {
     pub(crate) fn forget(&mut self) {
-        for slot in [&mut self.image, &mut self.water_color, &mut self.backscatter, &mut self.attenuation] {
+        let water = [&mut self.water_color, &mut self.backscatter, &mut self.attenuation];
+        for slot in [&mut self.image, &mut self.clear].into_iter().chain(water) {
             slot.given = false;
         }
         for slot in [&mut self.depth, &mut self.accumulation] {
             slot.given = false;
+        }
+        self.log_scales.clear();
+    }
+
+    /// The gradient with respect to the log standard deviations of `n` Gaussians, to which a term adds.
+    pub fn log_scales(&mut self, n: usize) -> &mut [[f32; 3]] {
+        self.log_scales.resize(n, [0.0; 3]);
+        &mut self.log_scales
+    }
+
+    /// Adds the terms' own gradients of the Gaussians' sizes.
+    pub(crate) fn add_scales(&self, sum: &mut [[f32; 3]]) {
+        for (sum, own) in sum.as_flattened_mut().iter_mut().zip(self.log_scales.as_flattened()) {
+            *sum += own;
         }
     }
 

@@ -9,12 +9,20 @@
 //! values before their weights, and adds the gradients of its weighted sum with respect to the rasters that
 //! it read ([`ViewGradients`]).
 
+mod background;
+mod backscatter;
+mod clear_colors;
 mod depth;
+mod far;
+mod flatness;
 mod gradients;
+mod inverse_depth;
 mod photometric;
 mod ranking;
+mod smoothness;
 
 use use3d_capture::{Camera, Image, Map, MediumMaps};
+use use3d_splat::{Gaussians, Prepared};
 
 pub use depth::{DEPTH_SCALE, DepthPriorLoss, FEWEST_PIXELS};
 pub use gradients::{Slot, ViewGradients};
@@ -24,8 +32,22 @@ use crate::{ReconstructParams, Target};
 
 /// Every term, in the order in which values are summed and reported: those of the method, then those of the
 /// methods it is compared with.
-pub const TERMS: &[LossTerm] =
-    &[photometric::TERM, depth::TERM, photometric::ONE_LEVEL, photometric::PLAIN, ranking::TERM];
+pub const TERMS: &[LossTerm] = &[
+    photometric::TERM,
+    depth::TERM,
+    photometric::ONE_LEVEL,
+    photometric::PLAIN,
+    ranking::TERM,
+    smoothness::TERM,
+    smoothness::BY_PRIOR,
+    smoothness::NORMALISED,
+    far::TERM,
+    backscatter::TERM,
+    clear_colors::TERM,
+    background::TERM,
+    inverse_depth::TERM,
+    flatness::TERM,
+];
 
 /// Number of values of the method's own terms. A log has these in every line, and others where they have a
 /// value.
@@ -59,6 +81,8 @@ pub struct Observation<'a> {
     /// The rendered view through water and, if views have gains, with its gain. It is compared with the
     /// photograph.
     pub image: &'a Image,
+    /// The view without water, `Σ w c`, if a term with a weight [reads](Term::reads_clear) it.
+    pub clear: Option<&'a Image>,
     /// Its expected depth along the optical axis, scene units; 0 where nothing is hit.
     pub depth: &'a Map,
     /// Its accumulated weight, in `[0, 1)`.
@@ -67,10 +91,19 @@ pub struct Observation<'a> {
     pub water: Option<&'a MediumMaps>,
     /// The photograph, the pixels of it that count, and other known data of the view.
     pub target: &'a Target,
+    /// The Gaussians.
+    pub gaussians: &'a Gaussians,
+    /// Those of them that reach the view.
+    pub prepared: &'a Prepared,
 }
 
 /// A term of the loss, with its buffers.
 pub trait Term: Send {
+    /// True if the term reads the clear image.
+    fn reads_clear(&self) -> bool {
+        false
+    }
+
     /// Writes the term's values, before their weights, into `values`: `None` if the view has no data for
     /// one. Adds to `gradients` those of their weighted sum. `weights` has one entry per value, and not all
     /// of them are 0.
@@ -125,6 +158,16 @@ impl Losses {
     /// Number of values of all terms together.
     pub(crate) fn values(&self) -> usize {
         self.terms.iter().map(|(values, _)| values).sum()
+    }
+
+    /// True if a term with a weight reads the clear image.
+    pub(crate) fn read_clear(&self, weights: &[f64]) -> bool {
+        let mut at = 0;
+        self.terms.iter().any(|(count, term)| {
+            let range = at..at + *count;
+            at = range.end;
+            term.reads_clear() && weights[range].iter().any(|w| *w != 0.0)
+        })
     }
 
     /// Computes the loss of a view; `weights` has one entry per value. Its gradients replace those of the

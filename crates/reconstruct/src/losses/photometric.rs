@@ -33,32 +33,47 @@ use crate::{Photometric, ReconstructParams};
 /// The rows of the photometric values, one for each [`Photometric`].
 pub(super) const TERM: LossTerm = LossTerm {
     values: &[
-        LossValue { name: "reg_l1", weight: |params, _| absolute(params, Photometric::RegMsSsim) },
-        LossValue { name: "reg_ms_ssim", weight: |params, _| structure(params, Photometric::RegMsSsim) },
+        LossValue { name: "reg_l1", weight: |params, step| absolute(params, Photometric::RegMsSsim, step) },
+        LossValue {
+            name: "reg_ms_ssim",
+            weight: |params, step| structure(params, Photometric::RegMsSsim, step),
+        },
     ],
     term: || Box::new(PhotometricLoss::new(0.0)),
 };
 pub(super) const ONE_LEVEL: LossTerm = LossTerm {
     values: &[
-        LossValue { name: "relative_l1", weight: |params, _| absolute(params, Photometric::RegSsim) },
-        LossValue { name: "relative_ssim", weight: |params, _| structure(params, Photometric::RegSsim) },
+        LossValue {
+            name: "relative_l1",
+            weight: |params, step| absolute(params, Photometric::RegSsim, step),
+        },
+        LossValue {
+            name: "relative_ssim",
+            weight: |params, step| structure(params, Photometric::RegSsim, step),
+        },
     ],
     term: || Box::new(PhotometricLoss::of(Photometric::RegSsim, 0.0)),
 };
 pub(super) const PLAIN: LossTerm = LossTerm {
     values: &[
-        LossValue { name: "plain_l1", weight: |params, _| absolute(params, Photometric::Ssim) },
-        LossValue { name: "plain_ssim", weight: |params, _| structure(params, Photometric::Ssim) },
+        LossValue { name: "plain_l1", weight: |params, step| absolute(params, Photometric::Ssim, step) },
+        LossValue { name: "plain_ssim", weight: |params, step| structure(params, Photometric::Ssim, step) },
     ],
     term: || Box::new(PhotometricLoss::of(Photometric::Ssim, 0.0)),
 };
 
-fn absolute(params: &ReconstructParams, of: Photometric) -> f64 {
-    if params.photometric == of { 1.0 - params.structure_weight } else { 0.0 }
+fn absolute(params: &ReconstructParams, of: Photometric, step: u64) -> f64 {
+    if chosen(params, step) == of { 1.0 - params.structure_weight } else { 0.0 }
 }
 
-fn structure(params: &ReconstructParams, of: Photometric) -> f64 {
-    if params.photometric == of { params.structure_weight } else { 0.0 }
+fn structure(params: &ReconstructParams, of: Photometric, step: u64) -> f64 {
+    if chosen(params, step) == of { params.structure_weight } else { 0.0 }
+}
+
+/// The comparison of a step: that of the images themselves while errors are not relative.
+fn chosen(params: &ReconstructParams, step: u64) -> Photometric {
+    let plain = (step as f64) < params.plain_until * params.course() as f64;
+    if plain { Photometric::Ssim } else { params.photometric }
 }
 
 /// `ε` of the weight.

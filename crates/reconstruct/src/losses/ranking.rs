@@ -14,6 +14,7 @@ use std::ops::Range;
 
 use use3d_capture::Map;
 
+use super::depth::known;
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::{DepthPrior, ReconstructParams};
 
@@ -36,10 +37,6 @@ pub(super) struct DepthRanking;
 /// The pixels of patch `i` along a side of `n`.
 fn patch(i: usize, n: usize) -> Range<usize> {
     i * n / PATCHES..((i + 1) * n).div_ceil(PATCHES)
-}
-
-fn known(depth: f32, prior: f32) -> bool {
-    prior > 0.0 && prior < f32::INFINITY && depth > 0.0 && depth < f32::INFINITY
 }
 
 impl DepthRanking {

@@ -1,6 +1,6 @@
 //! Compares the losses with goldens and finite differences.
 
-use use3d_capture::{Image, Map};
+use use3d_capture::{Camera, Formation, Image, Intrinsics, Map, MediumMaps, Pose};
 use use3d_golden::{Case, Part};
 use use3d_metrics::ms_ssim::level_weights;
 use use3d_metrics::{decibels, mask_of, psnr};
@@ -8,7 +8,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
 use super::*;
-use crate::{DepthPrior, Photometric};
+use crate::{DepthPrior, Photometric, Priors, Target, Turns};
 
 fn image(case: &Case<'_>, name: &str) -> Image {
     let (w, h, data) = case.planes(name);
@@ -105,6 +105,154 @@ fn golden_rivals() {
     case.check_planes("grad.depth_ranking.depth", gradient.data());
 }
 
+/// Evaluates a row of the table on a case of SeaSplat's priors, with weights of one value at a time.
+fn golden_prior(case: &Case<'_>, row: LossTerm, outputs: &[&str]) {
+    let (width, height) = (case.count("width"), case.count("height"));
+    let of = |name: &str| if case.has(name) { image(case, name) } else { Image::new(width, height) };
+    let map_of = |name: &str| if case.has(name) { map(case, name) } else { Map::new(width, height) };
+    let laid_over = case.config()["laid_over"].as_bool().unwrap_or(true);
+    let formation = if laid_over { Formation::Normalised } else { Formation::PerGaussian };
+    let water = MediumMaps {
+        color: of("in.c_m"),
+        backscatter: of("in.beta_bs"),
+        attenuation: Image::new(width, height),
+        formation,
+        network: None,
+    };
+    let (shown, clear) = (of("in.image"), of("in.clear"));
+    let (depth, accumulation) = (map_of("in.depth"), map_of("in.accumulation"));
+    let target = Target { image: of("in.target"), ..Target::default() };
+    let intrinsics = Intrinsics { width, height, fx: 9.0, fy: 9.0, cx: 5.0, cy: 4.0 };
+    let pose = Pose { rotation: glam::DMat3::IDENTITY, translation: glam::DVec3::ZERO };
+    let seen = Observation {
+        step: 0,
+        camera: &Camera { intrinsics, pose },
+        image: &shown,
+        clear: Some(&clear),
+        depth: &depth,
+        accumulation: &accumulation,
+        water: Some(&water),
+        target: &target,
+        gaussians: &Gaussians::empty(0),
+        prepared: &Prepared::new(),
+    };
+    let mut losses = Losses::new(&[row]);
+    for (i, output) in outputs.iter().enumerate() {
+        let d_output = case.f64(&format!("cot.{output}"))[0];
+        let mut weights = vec![0.0; outputs.len()];
+        weights[i] = d_output;
+        let loss = losses.evaluate(&seen, &weights);
+        case.check_f64(&format!("out.{output}"), &[loss.values[i].unwrap()]);
+        let gradients = &losses.gradients;
+        for name in case.grads() {
+            let found = match name.as_str() {
+                "image" => gradients.image.get().unwrap().data(),
+                "clear" => gradients.clear.get().unwrap().data(),
+                "depth" => gradients.depth.get().unwrap().data(),
+                "c_m" => gradients.water_color.get().unwrap().data(),
+                "beta_bs" => gradients.backscatter.get().unwrap().data(),
+                _ => gradients.accumulation.get().unwrap().data(),
+            };
+            case.check_planes(&format!("grad.{output}.{name}"), found);
+        }
+        // Nothing but these has a gradient.
+        assert!(gradients.attenuation.get().is_none());
+        assert_eq!(gradients.depth.get().is_some(), case.grads() == ["depth"]);
+        assert_eq!(gradients.image.get().is_some(), case.grads() == ["image"]);
+    }
+}
+
+#[test]
+fn golden_seasplat() {
+    let part = Part::math("seasplat");
+    let mut seen = 0;
+    for case in part.cases() {
+        let (row, outputs): (LossTerm, &[&str]) = match case.name() {
+            "far_l1" => (far::TERM, &["far_l1"]),
+            "smoothness" => (smoothness::NORMALISED, &["smoothness"]),
+            "backscatter" => (backscatter::TERM, &["backscatter"]),
+            "clear_colors" => (clear_colors::TERM, &["saturation", "grey_world"]),
+            "background" | "background_before" => (background::TERM, &["background"]),
+            _ => continue,
+        };
+        golden_prior(&case, row, outputs);
+        seen += 1;
+    }
+    assert_eq!(seen, 6);
+}
+
+#[test]
+fn priors_on_water_begin_with_it_and_the_clear_image_is_made_for_those_that_read_it() {
+    let priors = Priors { far: 1.0, backscatter: 1.0, saturation: 2.0, grey_world: 0.1, background: 0.01 };
+    let turns = Turns { from: 0.5, water: 10, ..Turns::default() };
+    let params = ReconstructParams { iterations: 100, priors, turns, ..ReconstructParams::default() };
+    let named = |params: &ReconstructParams, step| -> Vec<(&str, f64)> {
+        names().zip(super::weights(params, step)).skip(OWN_VALUES).filter(|(_, w)| *w > 0.0).collect()
+    };
+    assert_eq!(named(&params, 49), [("far_l1", 1.0), ("background_prior", 0.01)]);
+    let all = [
+        ("far_l1", 1.0),
+        ("backscatter_prior", 1.0),
+        ("saturation_prior", 2.0),
+        ("grey_world_prior", 0.1),
+        ("background_prior", 0.01),
+    ];
+    assert_eq!(named(&params, 50), all);
+    let losses = Losses::new(TERMS);
+    let read = |params: &ReconstructParams, step| losses.read_clear(&super::weights(params, step));
+    assert_eq!((read(&params, 49), read(&params, 50)), (false, true));
+    assert!(!read(&ReconstructParams::default(), 50));
+}
+
+#[test]
+fn golden_smoothness() {
+    let part = Part::math("marinestd");
+    for (name, by_prior) in [("smoothness", false), ("adaptive_smoothness", true)] {
+        let case = part.cases().into_iter().find(|case| case.name() == name).unwrap();
+        let (depth, photograph) = (map(&case, "in.depth"), image(&case, "in.target"));
+        let (prior, term) =
+            (map(&case, "in.prior"), smoothness::DepthSmoothness { by_prior, normalised: false });
+        let (mut gradient, d_output) = (Map::new(1, 1), case.f64("cot.smoothness")[0]);
+        let value = term.evaluate(&depth, &photograph, Some(&prior), d_output, &mut gradient);
+        case.check_f64("out.smoothness", &[value]);
+        case.check_planes("grad.smoothness.depth", gradient.data());
+        // Differences, where no pair is near the kink.
+        let mut moved = depth.clone();
+        let apart = |a: usize, b: usize| (depth.data()[a] - depth.data()[b]).abs() > 1e-3;
+        let w = depth.width();
+        let smooth = |at: usize| [at - 1, at + 1, at - w, at + w].into_iter().all(|other| apart(at, other));
+        let inside = (w + 1..depth.pixels() - w - 1).step_by(7);
+        for at in inside.filter(|at| depth.data()[*at] > 0.0 && smooth(*at)) {
+            let mut value = |by: f32| {
+                moved.data_mut()[at] = depth.data()[at] + by;
+                term.evaluate(&moved, &photograph, Some(&prior), 1.0, &mut Map::new(1, 1))
+            };
+            let numeric = d_output * (value(1e-4) - value(-1e-4)) / 2e-4;
+            moved.data_mut()[at] = depth.data()[at];
+            let expected = f64::from(gradient.data()[at]);
+            assert!((numeric - expected).abs() < 1e-2 * expected.abs() + 1e-6, "{at}: {numeric} {expected}");
+        }
+    }
+}
+
+#[test]
+fn smoothness_waits_after_a_ceiling_and_has_one_kind_of_edges() {
+    let mut params = ReconstructParams { iterations: 15_000, smoothness_weight: 0.01, ..Default::default() };
+    let of = |params: &ReconstructParams, name: &str, step: u64| {
+        names().zip(super::weights(params, step)).find(|(other, _)| *other == name).unwrap().1
+    };
+    assert_eq!(of(&params, "depth_smoothness", 0), 0.01);
+    assert_eq!(of(&params, "adaptive_smoothness", 0), 0.0);
+    params.smoothness_normalised = true;
+    assert_eq!((of(&params, "depth_smoothness", 0), of(&params, "normalised_smoothness", 0)), (0.0, 0.01));
+    params.smoothness_normalised = false;
+    (params.smoothness_by_prior, params.smoothness_pause) = (true, 100);
+    let ceiling = (1000..2000).find(|step| params.density_work(*step, 9).ceiling.is_some()).unwrap();
+    let at = |step| of(&params, "adaptive_smoothness", step);
+    assert_eq!([0, 1, 100, 101].map(|after| at(ceiling + after)), [0.01, 0.0, 0.0, 0.01]);
+    assert_eq!(of(&params, "depth_smoothness", ceiling), 0.0);
+}
+
 #[test]
 fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
     let named = |params: &ReconstructParams, step: u64| -> Vec<&str> {
@@ -115,7 +263,10 @@ fn only_the_chosen_comparison_has_weights_and_the_ranking_ends_with_growth() {
     assert_eq!(named(&params, params.densify_end()), ["reg_l1", "reg_ms_ssim", "depth_loss"]);
     (params.depth_prior, params.photometric) = (DepthPrior::Off, Photometric::RegSsim);
     assert_eq!(named(&params, 0), ["relative_l1", "relative_ssim"]);
-    params.photometric = Photometric::Ssim;
+    params.plain_until = 0.1;
+    assert_eq!(named(&params, params.course() / 10 - 1), ["plain_l1", "plain_ssim"]);
+    assert_eq!(named(&params, params.course() / 10), ["relative_l1", "relative_ssim"]);
+    (params.photometric, params.plain_until) = (Photometric::Ssim, 0.0);
     assert_eq!(named(&params, 0), ["plain_l1", "plain_ssim"]);
 }
 
@@ -239,3 +390,5 @@ fn worthless_priors_give_no_gradient_and_no_nan() {
     let loss = DepthPriorLoss.evaluate(&Map::filled(8, 8, f32::NAN), &depth, 0.1, &mut gradient);
     assert!(loss == 0.0 && gradient.data().iter().all(|&g| g == 0.0));
 }
+
+mod uir;

@@ -3,10 +3,14 @@
 use super::*;
 
 /// A term that reads every input:
-/// `½ mean image² + mean depth + ½ mean accumulation² + mean of the water's maps`.
+/// `½ mean image² + ½ mean clear² + mean depth + ½ mean accumulation² + mean of the water's maps`.
 struct Everything;
 
 impl Term for Everything {
+    fn reads_clear(&self) -> bool {
+        true
+    }
+
     fn evaluate(
         &mut self,
         seen: &Observation<'_>,
@@ -19,10 +23,13 @@ impl Term for Everything {
         let mean =
             |values: &[f32], f: fn(f64) -> f64| values.iter().map(|v| f(f64::from(*v))).sum::<f64>() / n;
         let half_square = |v: f64| 0.5 * v * v;
+        let clear = seen.clear.unwrap();
         let mut value = mean(seen.image.data(), half_square)
+            + mean(clear.data(), half_square)
             + mean(seen.depth.data(), |v| v)
             + mean(seen.accumulation.data(), half_square);
         gradients.image.add(|g| *g = seen.image.map(|v| scale * v));
+        gradients.clear.add(|g| *g = clear.map(|v| scale * v));
         gradients.depth.add(|g| *g = seen.depth.map(|_| scale));
         gradients.accumulation.add(|g| *g = seen.accumulation.map(|v| scale * v));
         let water = seen.water.unwrap();
@@ -60,6 +67,8 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
     let state = TrainingState::new(gaussians, MediumModel::Rbf(water), &[]);
     let plan = StepPlan {
         step: 0,
+        moves: Moves::All,
+        water_updates: 0,
         divisor: 2,
         degrees: Degrees { colors: 0, water: 0 },
         rates: NO_RATES,
@@ -67,6 +76,7 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         depth_gradient: true,
         network_clip: 0.0,
         exposure: None,
+        colors: None,
         gather: None,
     };
     let engine = |rows: &[LossTerm]| {
@@ -107,6 +117,16 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         };
         judge("water", &change, water[i], most(&water));
     }
+
+    // A term of the Gaussians' sizes reaches them alone.
+    let flatness = crate::losses::TERMS.iter().find(|row| row.values[0].name == "smallest_scale").unwrap();
+    let mut sized = engine(&[*flatness]);
+    sized.load(state.clone()).unwrap();
+    sized.differentiate(0, &StepPlan { weights: vec![40.0], ..plan.clone() }).unwrap();
+    let sizes = &sized.gradients().0.log_scales;
+    let (most_of_all, expected) = (most(sizes.as_flattened()), use3d_numerics::math::exp(-2.0f32));
+    assert!((most_of_all - expected).abs() < 0.2 * expected, "{most_of_all} of {expected}");
+    assert!(sizes.iter().all(|[x, _, z]| *x == 0.0 && *z == 0.0));
 
     // Terms add up: the same term twice gives twice the loss and twice every gradient.
     let mut two = engine(&[ROW, ROW]);

@@ -81,7 +81,7 @@ pub struct InWater {
 ///
 /// # Errors
 /// The strength or the share is outside `[0, 1]`, the enhanced look of a scene without enhancement is
-/// requested, or there is no camera.
+/// requested, there is no camera, or the water belongs to finished images (`seasplat`, `uir`).
 pub fn bake_in_water(
     scene: &Scene,
     look: Look,
@@ -102,6 +102,10 @@ pub fn bake_in_water(
     }
     if cameras.is_empty() {
         return Err(RenderError::NoCameras);
+    }
+    let kind = scene.medium.kind();
+    if !kind.is_per_length() {
+        return Err(RenderError::NoPlace(kind.name()));
     }
     let look = WaterLook { scene, strength, water, cameras };
     let effects = look.effects();

@@ -6,10 +6,13 @@
 //! shortens the lists of a frozen view, and `weighted` composes a small one from its kept weights.
 //! `rasterizer` and `linear` are the public interface.
 
+mod depth_network;
 mod groups;
 mod inputs;
+mod laid_over;
 mod lanes;
 mod linear;
+mod normalised;
 mod outputs;
 mod pairs;
 mod per_image;
@@ -23,5 +26,6 @@ mod tile;
 mod trim;
 mod weighted;
 
+pub use normalised::DepthRange;
 pub use pairs::Pairs;
 pub use rasterizer::Rasterizer;

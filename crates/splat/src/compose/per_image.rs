@@ -14,17 +14,20 @@
 //! With `g = ∂I` the derivatives are `∂J = g a`, `∂A = −Σ g c_m b`, `∂s = Σ g (c_m A β_b b − J β_a a)`
 //! (sums over channels), `∂c_m = g (1 − A b)`, `∂β_b = g c_m A s b` and `∂β_a = −g J s a`. The derivatives
 //! with respect to clear image, depth and accumulation are the input of the compositor's backward pass.
-
-use std::ops::Range;
+//!
+//! Distances that are normalised per view take the place of `s` in the same formula, with `A = 1`:
+//! [`DepthRange`] has them. The image is then clamped to `[0, 1]`, and a clamped value has no derivative.
 
 use fearless_simd::dispatch;
-use use3d_capture::{Image, Map, MediumMaps};
+use use3d_capture::{DepthNetwork, Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp;
 
+use super::depth_network;
+use super::laid_over::Read;
 use super::outputs::{ImagePlanes, LayerPlanes, MediumPlanes, image_planes, layer_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::rasterizer::Kernels;
-use super::strips::{PlanesMut, for_each};
+use super::strips::{PerRow, PlanesMut, for_each};
 use super::tile::Lanes;
 use crate::lists::{Prepared, TILE};
 use crate::view::{Options, RenderGradients, Rendered};
@@ -63,38 +66,18 @@ struct Channel {
     veil: Lanes,
 }
 
-/// The inputs of both directions.
-#[derive(Clone, Copy)]
-struct Read<'a> {
-    prepared: &'a Prepared,
-    water: &'a MediumMaps,
-    composed: &'a Rendered,
-}
-
 impl Read<'_> {
-    /// Calls `work` for every part of a pixel row that lies in one tile, over the tile row `row`. Its
-    /// arguments are the pixel row in the view, the pixel row in the strip, the tile's column, and the
-    /// range of pixel columns.
-    #[inline(always)]
-    fn for_each(&self, row: usize, mut work: impl FnMut(usize, usize, usize, Range<usize>)) {
-        for r in 0..self.prepared.rows.filled(row) {
-            for column in 0..self.prepared.columns.tiles() {
-                let x = column * TILE;
-                work(row * TILE + r, r, column, x..x + self.prepared.columns.filled(column));
-            }
-        }
-    }
-
     #[inline(always)]
     fn surface(&self, y: usize, column: usize, n: usize) -> Surface {
         let x = column * TILE;
-        let ray = ray_lengths(self.prepared, y, column);
         let depth = get(self.composed.depth.row(0, y), x, n);
-        Surface {
-            accumulation: get(self.composed.accumulation.row(0, y), x, n),
-            distance: each(|l| depth[l] * ray[l]),
-            ray,
+        let accumulation = get(self.composed.accumulation.row(0, y), x, n);
+        if let Some(range) = self.range {
+            let distance = each(|l| range.at(depth[l], accumulation[l]));
+            return Surface { accumulation: [1.0; TILE], ray: [1.0; TILE], distance };
         }
+        let ray = ray_lengths(self.prepared, y, column);
+        Surface { accumulation, distance: each(|l| depth[l] * ray[l]), ray }
     }
 
     #[inline(always)]
@@ -142,9 +125,18 @@ impl Clear {
         self.composed.accumulation.clone_from(&out.accumulation);
         self.mark(prepared);
         let (w, h) = (prepared.width, prepared.height);
-        let read = Read { prepared, water, composed: &self.composed };
+        let read = Read::new(prepared, water, &self.composed);
         let image = PlanesMut::of([out.image.data_mut()], w, h);
         let strips = (image, layer_planes(&mut out.layers, w));
+        if let Some(network) = &water.network {
+            for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
+                Kernels::Plain => depth_network::form_row(read, network, row, strips),
+                Kernels::Lanes(level) => {
+                    dispatch!(level, _simd => depth_network::form_row(read, network, row, strips));
+                }
+            });
+            return;
+        }
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Formed<'_>| match kernels {
             Kernels::Plain => form_row(read, row, strips),
             Kernels::Lanes(level) => dispatch!(level, _simd => form_row(read, row, strips)),
@@ -165,37 +157,67 @@ impl Clear {
         self.d_image.resize(w, h);
         self.d_depth.resize(w, h);
         self.d_accumulation.resize(w, h);
-        let read = Read { prepared, water, composed: &self.composed };
+        let read = Read::new(prepared, water, &self.composed);
         let images = image_planes(&mut self.d_image, &mut self.d_depth, &mut self.d_accumulation);
+        if let Some(network) = &water.network {
+            let mut sums = vec![DepthNetwork::default(); prepared.rows.tiles()];
+            let mut grads = grads;
+            let strips = (images, (medium_planes(grads.as_deref_mut(), prepared), PerRow(&mut sums)));
+            type Derived<'a> = depth_network::Derived<'a>;
+            for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
+                Kernels::Plain => depth_network::differentiate_row(read, network, row, wanted, strips),
+                Kernels::Lanes(level) => dispatch!(level, _simd => {
+                    depth_network::differentiate_row(read, network, row, wanted, strips);
+                }),
+            });
+            if let Some(grads) = grads {
+                grads.network = Some(Box::new(depth_network::total(&sums)));
+            }
+            return;
+        }
         let strips = (images, medium_planes(grads, prepared));
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: Derived<'_>| match kernels {
             Kernels::Plain => differentiate_row(read, row, wanted, strips),
             Kernels::Lanes(level) => dispatch!(level, _simd => differentiate_row(read, row, wanted, strips)),
         });
+        if let Some(range) = read.range {
+            range.backward(&self.composed.depth, &self.composed.accumulation, &mut self.d_depth);
+            if let Some(own) = wanted.0.depth {
+                self.d_depth.data_mut().iter_mut().zip(own.data()).for_each(|(sum, own)| *sum += own);
+            }
+        }
     }
 }
 
 /// Forms a row of tiles. Always inlined, so that it is compiled for the instruction set.
 #[inline(always)]
 fn form_row(read: Read<'_>, row: usize, (mut image, mut layers): Formed<'_>) {
-    read.for_each(row, |y, r, column, columns| {
-        let surface = read.surface(y, column, columns.len());
-        let weight = &surface.accumulation;
-        for c in 0..3 {
-            let Channel { light, color, object: a, veil: b, .. } =
-                read.channel(c, y, column, columns.len(), &surface);
-            let shown = each(|l| light[l] * a[l]);
-            let hidden = each(|l| weight[l] * b[l]);
-            put(image.row(c, r, columns.clone()), &each(|l| color[l].mul_add(1.0 - hidden[l], shown[l])));
-            if layers.present() {
-                let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
-                let medium = each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l]));
-                for (k, lanes) in [shown, medium, behind].iter().enumerate() {
-                    put(layers.row(3 * k + c, r, columns.clone()), lanes);
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, column, columns| {
+            let surface = read.surface(y, column, columns.len());
+            let weight = &surface.accumulation;
+            for c in 0..3 {
+                let Channel { light, color, object: a, veil: b, .. } =
+                    read.channel(c, y, column, columns.len(), &surface);
+                let shown = each(|l| light[l] * a[l]);
+                let hidden = each(|l| weight[l] * b[l]);
+                let mut formed = each(|l| color[l].mul_add(1.0 - hidden[l], shown[l]));
+                if read.range.is_some() {
+                    formed = each(|l| formed[l].clamp(0.0, 1.0));
+                }
+                put(image.row(c, r, columns.clone()), &formed);
+                if layers.present() {
+                    let behind = each(|l| (1.0 - weight[l]) * color[l] * b[l]);
+                    let medium = each(|l| color[l].mul_add(1.0 - hidden[l], -behind[l]));
+                    for (k, lanes) in [shown, medium, behind].iter().enumerate() {
+                        put(layers.row(3 * k + c, r, columns.clone()), lanes);
+                    }
                 }
             }
-        }
-    });
+        },
+    );
 }
 
 /// Differentiates a row of tiles.
@@ -206,34 +228,46 @@ fn differentiate_row(
     (d_rendered, options): (&RenderGradients<'_>, &Options),
     (mut d_images, mut d_water): Derived<'_>,
 ) {
-    read.for_each(row, |y, r, column, columns| {
-        let (x, n) = (columns.start, columns.len());
-        let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
-        let surface = read.surface(y, column, n);
-        let Surface { accumulation: weight, ray, distance: s } = &surface;
-        let (mut d_weight, mut d_distance) = (own(d_rendered.accumulation), [0.0; TILE]);
-        for c in 0..3 {
-            let channel = read.channel(c, y, column, n, &surface);
-            let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
-            let g = get(d_rendered.image.row(c, y), x, n);
-            let shown = each(|l| g[l] * a[l]);
-            let lit = each(|l| shown[l] * light[l]);
-            let veiled = each(|l| g[l] * color[l] * b[l]);
-            d_weight = each(|l| d_weight[l] - veiled[l]);
-            d_distance =
-                each(|l| d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l]));
-            put(d_images.row(c, r, columns.clone()), &shown);
-            if d_water.present() {
-                put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
-                put(d_water.row(3 + c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
-                put(d_water.row(6 + c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
+    read.for_each(
+        row,
+        #[inline(always)]
+        |y, r, column, columns| {
+            let (x, n) = (columns.start, columns.len());
+            let own = |map: Option<&Map>| map.map_or([0.0; TILE], |map| get(map.row(0, y), x, n));
+            let surface = read.surface(y, column, n);
+            let Surface { accumulation: weight, ray, distance: s } = &surface;
+            let (mut d_weight, mut d_distance) = (own(d_rendered.accumulation), [0.0; TILE]);
+            for c in 0..3 {
+                let channel = read.channel(c, y, column, n, &surface);
+                let Channel { light, color, attenuation, backscatter, object: a, veil: b } = &channel;
+                let mut g = get(d_rendered.image.row(c, y), x, n);
+                if read.range.is_some() {
+                    let formed = each(|l| color[l].mul_add(1.0 - weight[l] * b[l], light[l] * a[l]));
+                    g = each(|l| if (0.0..=1.0).contains(&formed[l]) { g[l] } else { 0.0 });
+                }
+                let shown = each(|l| g[l] * a[l]);
+                let lit = each(|l| shown[l] * light[l]);
+                let veiled = each(|l| g[l] * color[l] * b[l]);
+                if read.range.is_none() {
+                    d_weight = each(|l| d_weight[l] - veiled[l]);
+                }
+                d_distance = each(|l| {
+                    d_distance[l] + (weight[l] * backscatter[l] * veiled[l] - attenuation[l] * lit[l])
+                });
+                put(d_images.row(c, r, columns.clone()), &shown);
+                if d_water.present() {
+                    put(d_water.row(c, r, columns.clone()), &each(|l| g[l] * (1.0 - weight[l] * b[l])));
+                    put(d_water.row(3 + c, r, columns.clone()), &each(|l| weight[l] * s[l] * veiled[l]));
+                    put(d_water.row(6 + c, r, columns.clone()), &each(|l| -(s[l] * lit[l])));
+                }
             }
-        }
-        let mut depth = own(d_rendered.depth);
-        if options.depth_gradient {
-            depth = each(|l| depth[l] + ray[l] * d_distance[l]);
-        }
-        put(d_images.row(3, r, columns.clone()), &depth);
-        put(d_images.row(4, r, columns), &d_weight);
-    });
+            // A normalised distance is not the depth whose gradient the loss may also have.
+            let mut depth = own(d_rendered.depth.filter(|_| read.range.is_none()));
+            if options.depth_gradient {
+                depth = each(|l| depth[l] + ray[l] * d_distance[l]);
+            }
+            put(d_images.row(3, r, columns.clone()), &depth);
+            put(d_images.row(4, r, columns), &d_weight);
+        },
+    );
 }

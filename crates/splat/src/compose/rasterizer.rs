@@ -182,6 +182,10 @@ impl Rasterizer {
         if let Some(water) = over_the_image(medium) {
             let mut clear = self.clear_of(prepared);
             clear.differentiate(self.kernels, prepared, water, (d_rendered, options), grads.medium);
+            if options.water_only {
+                self.clear = clear;
+                return;
+            }
             let d_rendered = RenderGradients {
                 image: &clear.d_image,
                 depth: Some(&clear.d_depth),
@@ -345,7 +349,7 @@ fn check_size(prepared: &Prepared, what: &str, width: usize, height: usize) {
 
 /// The water, if it is applied to the composed image.
 fn over_the_image(medium: Option<&MediumMaps>) -> Option<&MediumMaps> {
-    medium.filter(|water| water.formation == Formation::PerImage)
+    medium.filter(|water| water.formation != Formation::PerGaussian)
 }
 
 fn check_medium(prepared: &Prepared, medium: Option<&MediumMaps>) {

@@ -54,6 +54,17 @@ impl<T: Send, const N: usize> Strips for PlanesMut<'_, T, N> {
     }
 }
 
+/// One value per tile row.
+pub(crate) struct PerRow<'a, T>(pub(crate) &'a mut [T]);
+
+impl<T: Send> Strips for PerRow<'_, T> {
+    fn cut(self, tile_rows: usize) -> (Self, Self) {
+        let middle = tile_rows.min(self.0.len());
+        let (first, second) = self.0.split_at_mut(middle);
+        (Self(first), Self(second))
+    }
+}
+
 impl<A: Strips, B: Strips> Strips for (A, B) {
     fn cut(self, tile_rows: usize) -> (Self, Self) {
         let (a, b) = (self.0.cut(tile_rows), self.1.cut(tile_rows));

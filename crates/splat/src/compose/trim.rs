@@ -119,7 +119,13 @@ mod tests {
                 Image::from_planes(w, h, data).unwrap()
             };
             let (color, backscatter, attenuation) = (wave(1), wave(2), wave(3));
-            let water = MediumMaps { color, backscatter, attenuation, formation: Formation::default() };
+            let water = MediumMaps {
+                color,
+                backscatter,
+                attenuation,
+                formation: Formation::default(),
+                network: None,
+            };
             for mut rasterizer in [Rasterizer::plain(), Rasterizer::new()] {
                 let mut trimmed = view.clone();
                 rasterizer.trim(&mut trimmed);

@@ -445,7 +445,7 @@ mod tests {
             [(0.1, Formation::PerGaussian), (4.0, Formation::PerGaussian), (1.0, Formation::PerImage)];
         let waters = waters.map(|(scale, formation)| {
             let [backscatter, attenuation] = [2, 3].map(|k| wave(k, scale));
-            MediumMaps { color: wave(1, 1.0), backscatter, attenuation, formation }
+            MediumMaps { color: wave(1, 1.0), backscatter, attenuation, formation, network: None }
         });
         for water in waters.iter().map(Some).chain([None]) {
             let (image, colors, d_water) = run(&mut Rasterizer::plain(), &lists, water, &d);

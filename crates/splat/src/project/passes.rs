@@ -90,7 +90,19 @@ pub(crate) fn backward(
     let (projector, center) = (Projector::new(camera), color::center(camera));
     let input = BackwardInput { drawn, sums, gaussians, projector, center };
     let level = Level::new();
-    let GaussianGradients { means, log_scales, quaternions, opacity_logits, sh, screen, visible } = grads;
+    grads.signed_screen.resize(if drawn.signed { gaussians.len() } else { 0 }, [0.0; 2]);
+    let GaussianGradients {
+        means,
+        log_scales,
+        quaternions,
+        opacity_logits,
+        sh,
+        screen,
+        signed_screen,
+        visible,
+    } = grads;
+    let mut signed: Vec<&mut [[f32; 2]]> = signed_screen.chunks_mut(CHUNK).collect();
+    signed.resize_with(gaussians.len().div_ceil(CHUNK), Default::default);
     (
         means.par_chunks_mut(CHUNK),
         log_scales.par_chunks_mut(CHUNK),
@@ -98,13 +110,14 @@ pub(crate) fn backward(
         opacity_logits.par_chunks_mut(CHUNK),
         sh.par_chunks_mut(CHUNK),
         screen.par_chunks_mut(CHUNK),
+        signed,
         visible.par_chunks_mut(CHUNK),
         drawn.ranks.par_chunks(CHUNK),
     )
         .into_par_iter()
         .enumerate()
-        .for_each(|(chunk, (means, scales, quats, logits, sh, screen, visible, ranks))| {
-            let out = Chunk { means, scales, quats, logits, sh, screen, visible };
+        .for_each(|(chunk, (means, scales, quats, logits, sh, screen, signed, visible, ranks))| {
+            let out = Chunk { means, scales, quats, logits, sh, screen, signed, visible };
             dispatch!(level, _simd => backward_chunk(&input, chunk * CHUNK, ranks, out));
         });
 }
@@ -137,6 +150,8 @@ struct Chunk<'a> {
     logits: &'a mut [f32],
     sh: &'a mut [[[f32; 3]; 16]],
     screen: &'a mut [[f32; 2]],
+    /// Empty if they are not wanted.
+    signed: &'a mut [[f32; 2]],
     visible: &'a mut [bool],
 }
 
@@ -145,7 +160,7 @@ struct Chunk<'a> {
 #[inline(always)]
 fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: Chunk<'_>) {
     let BackwardInput { drawn, sums, gaussians, projector, center } = input;
-    let Chunk { means, scales, quats, logits, sh, screen, visible } = out;
+    let Chunk { means, scales, quats, logits, sh, screen, signed, visible } = out;
     // Ranks are scattered over the view. Reading them all first lets the waits for memory overlap.
     let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];
     for (fetched, &rank) in fetched.iter_mut().zip(ranks) {
@@ -158,6 +173,7 @@ fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: C
         if rank == HIDDEN {
             (means[i], scales[i], quats[i]) = ([0.0; 3], [0.0; 3], [0.0; 4]);
             (logits[i], sh[i], screen[i]) = (0.0, [[0.0; 3]; 16], [0.0; 2]);
+            signed.get_mut(i).iter_mut().for_each(|signed| **signed = [0.0; 2]);
             continue;
         }
         let index = first + i;
@@ -178,7 +194,10 @@ fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: C
         // α = o e^{-σ}, so ∂L/∂logit = (1 − o) Σ α ∂L/∂α.
         let closed = 1.0 / (1.0 + math::exp(f64::from(gaussians.opacity_logits[index])));
         logits[i] = (closed * f64::from(s.weight)) as f32;
-        screen[i] = if drawn.signed { derived.mean.map(|v| v as f32) } else { derived.screen };
+        screen[i] = derived.screen;
+        if let Some(signed) = signed.get_mut(i) {
+            *signed = derived.mean.map(|v| v as f32);
+        }
         match drawn.source {
             ColorSource::Harmonics(degree) => color::color_backward(
                 degree,

@@ -7,7 +7,9 @@ use use3d_splat::{
     view_colors,
 };
 
-use crate::support::{prepared, random_camera, random_gaussians, random_image, random_map, random_medium};
+use crate::support::{
+    prepared, random_camera, random_depth_network, random_gaussians, random_image, random_map, random_medium,
+};
 
 struct Scene {
     camera: use3d_capture::Camera,
@@ -156,6 +158,23 @@ fn check(scene: &mut Scene, options: Options, seed: u64) {
         );
     }
     assert_ne!(zero, maps);
+    let slopes: Vec<f32> = maps.network.iter().flat_map(|network| network.values().copied()).collect();
+    for (number, run) in [0..3, 3..6, 6..9, 9..41, 41..73, 73..169, 169..172].into_iter().enumerate() {
+        let Some(slopes) = slopes.get(run.clone()) else { break };
+        let direction: Vec<f32> = run.clone().map(|i| stream.normal(8_000_000 + i as u64) as f32).collect();
+        let mut at = |step: f32| {
+            let mut moved = medium.clone();
+            let values = moved.network.as_mut().unwrap().values_mut().skip(run.start);
+            values.zip(&direction).for_each(|(v, d)| *v += step * d);
+            scene.medium = Some(moved);
+            loss(scene, &mut rasterizer, false)
+        };
+        let (analytic, numeric) = (dot(slopes, &direction), (at(4e-3) - at(-4e-3)) / 8e-3);
+        assert!(
+            (numeric - analytic).abs() < 2e-3 * analytic.abs().max(1.0),
+            "numbers {number}: {numeric} {analytic}"
+        );
+    }
     scene.medium = Some(medium);
 }
 
@@ -173,13 +192,27 @@ fn finite_differences_agree_under_water() {
 
 #[test]
 fn finite_differences_agree_with_water_over_the_image() {
-    for seed in 0..3 {
+    for (seed, formation) in
+        [0, 1, 2, 3].into_iter().flat_map(|seed| [(seed, Formation::PerImage), (seed, Formation::Normalised)])
+    {
         let mut medium = random_medium(70, 45, seed % 2 == 0, seed);
-        medium.formation = Formation::PerImage;
+        medium.formation = formation;
         let mut scene = Scene {
             camera: random_camera(70, 45),
             gaussians: random_gaussians(10, 0.9, seed),
             medium: Some(medium),
+        };
+        check(&mut scene, Options::default(), 100 * seed);
+    }
+}
+
+#[test]
+fn finite_differences_agree_with_a_depth_network() {
+    for seed in 0..3 {
+        let mut scene = Scene {
+            camera: random_camera(70, 45),
+            gaussians: random_gaussians(10, 0.9, seed),
+            medium: Some(random_depth_network(70, 45, seed)),
         };
         check(&mut scene, Options::default(), 100 * seed);
     }

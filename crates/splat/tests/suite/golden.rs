@@ -28,7 +28,7 @@ fn golden_compositor_forward_and_every_gradient() {
 fn check_case(case: &Case<'_>, rasterizer: &mut Rasterizer) {
     let (camera, gaussians, medium) = (case.camera(), gaussians_of(case), medium_of(case));
     let depth_gradient = case.config()["s_gradient"].as_bool().unwrap_or(true);
-    let options = Options { depth_gradient, layers: true, signed_screen: false };
+    let options = Options { depth_gradient, layers: true, ..Options::default() };
     let mut prepared = Prepared::new();
     prepared.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: case.count("sh_degree") });
     let mut out = Rendered::new();

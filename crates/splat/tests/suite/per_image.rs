@@ -14,7 +14,8 @@ use crate::support::{
 };
 
 const SIZE: (usize, usize) = (53, 38);
-const LAYERS: Options = Options { depth_gradient: true, layers: true, signed_screen: false };
+const LAYERS: Options =
+    Options { depth_gradient: true, layers: true, signed_screen: false, water_only: false };
 
 struct View {
     camera: Camera,
@@ -143,7 +144,14 @@ fn at_one_depth_both_formations_agree() {
 
 #[test]
 fn fused_engines_give_the_same_bits() {
-    let view = view(5, false);
+    for formation in [Formation::PerImage, Formation::Normalised] {
+        let mut view = view(5, false);
+        view.water.formation = formation;
+        fused_engines_agree(&view);
+    }
+}
+
+fn fused_engines_agree(view: &View) {
     let (image, clear) = (random_image(SIZE.0, SIZE.1, 1), random_image(SIZE.0, SIZE.1, 2));
     let (depth, accumulation) = (random_map(SIZE.0, SIZE.1, 3), random_map(SIZE.0, SIZE.1, 4));
     let d_rendered = RenderGradients {
@@ -153,8 +161,8 @@ fn fused_engines_give_the_same_bits() {
         clear: Some(&clear),
     };
     let mut found = fused_engines().into_iter().map(|(name, mut rasterizer)| {
-        let drawn = draw(&mut rasterizer, &view, Some(&view.water));
-        (name, drawn, gradients(&mut rasterizer, &view, &view.water, &d_rendered))
+        let drawn = draw(&mut rasterizer, view, Some(&view.water));
+        (name, drawn, gradients(&mut rasterizer, view, &view.water, &d_rendered))
     });
     let (_, first, differentiated) = found.next().unwrap();
     for (name, drawn, derived) in found {
@@ -178,7 +186,13 @@ fn derivatives_of_colours_are_those_of_the_colours_there_are() {
     view.prepared.set_colors(&colors);
     let (mut grads, mut maps) = (vec![[0.0f32; 3]; n], MediumMaps::zeros(0, 0));
     rasterizer.backward_colors(&view.prepared, Some(&view.water), &d_image, &mut grads, &mut maps);
-    // The gradient of the water equals that of the full derivative.
+    // The gradient of the water equals that of the full derivative, also where nothing else is asked for.
+    let (mut kept, mut alone) = (GaussianGradients::default(), MediumMaps::zeros(0, 0));
+    let of = ViewOf { gaussians: &view.gaussians, camera: &view.camera };
+    let into = Gradients { gaussians: &mut kept, medium: Some(&mut alone) };
+    let water_only = Options { water_only: true, ..LAYERS };
+    rasterizer.backward(&view.prepared, of, Some(&view.water), &water_only, &only(&d_image), into);
+    assert_eq!((&alone, kept), (&maps, GaussianGradients::default()));
     assert_eq!(maps, gradients(&mut Rasterizer::new(), &view, &view.water, &only(&d_image)).1);
     let lit = dot(&draw(&mut rasterizer, &view, Some(&view.water)).image, &d_image);
     view.prepared.set_colors(&vec![[0.0; 3]; n]);

@@ -194,6 +194,7 @@ fn a_sparse_lattice_renders_the_pixels_of_the_whole_image() {
         backscatter: pick(&medium.backscatter),
         attenuation: pick(&medium.attenuation),
         formation: medium.formation,
+        network: None,
     };
     let mut view = Prepared::new();
     let sparse = Lattice::subset(&columns, &rows).unwrap();
@@ -363,16 +364,18 @@ fn signed_screen_gradients_are_those_of_a_moved_principal_point_and_radii_those_
         let out = render(&prepared(&gaussians, camera), None).image;
         out.data().iter().zip(d_image.data()).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
     };
-    let screen = |signed_screen: bool| {
+    let screens = |signed_screen: bool| {
         let (mut out, options) =
             (GaussianGradients::default(), Options { signed_screen, ..Options::default() });
         let d_rendered = RenderGradients { image: &d_image, depth: None, accumulation: None, clear: None };
         let of = ViewOf { gaussians: &gaussians, camera: &camera };
         let grads = Gradients { gaussians: &mut out, medium: None };
         Rasterizer::new().backward(&prepared(&gaussians, &camera), of, None, &options, &d_rendered, grads);
-        out.screen[0]
+        (out.signed_screen, out.screen[0])
     };
-    let (signed, absolute) = (screen(true), screen(false));
+    let (signed, absolute) = screens(true);
+    assert_eq!(screens(false), (vec![], absolute));
+    let signed = signed[0];
     let h = 0.05;
     for axis in 0..2 {
         let at = |by: f64| {

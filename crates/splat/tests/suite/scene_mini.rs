@@ -65,6 +65,7 @@ fn golden_scene_mini_images_and_layers() {
             backscatter: image("beta_bs"),
             attenuation: image("beta_attn"),
             formation: Formation::default(),
+            network: None,
         };
         let mut prepared = Prepared::new();
         prepared.prepare(&gaussians, &camera, &lattice(&camera), Colors::Sh { degree: 3 });

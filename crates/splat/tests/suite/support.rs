@@ -1,7 +1,7 @@
 //! Helpers that several tests share: engines, scenes, cases.
 
 use glam::DVec3;
-use use3d_capture::{Camera, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
+use use3d_capture::{Camera, DepthNetwork, Formation, Image, Intrinsics, Lattice, Map, MediumMaps, Pose};
 use use3d_golden::{Case, CaseGaussians};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
@@ -57,6 +57,7 @@ pub(crate) fn medium_of(case: &Case<'_>) -> MediumMaps {
         backscatter: image_of(case, "in.beta_bs"),
         attenuation: image_of(case, "in.beta_attn"),
         formation: Formation::default(),
+        network: None,
     }
 }
 
@@ -153,4 +154,15 @@ pub(crate) fn prepared(gaussians: &Gaussians, camera: &Camera) -> Prepared {
     let mut out = Prepared::new();
     out.prepare(gaussians, camera, &lattice(camera), Colors::Sh { degree: 3 });
     out
+}
+
+/// Water of a depth network with random numbers.
+pub(crate) fn random_depth_network(width: usize, height: usize, seed: u64) -> MediumMaps {
+    let s = Stream::new(seed, Purpose::new("random depth network"), 0);
+    let mut network = DepthNetwork { share: [0.9, 1.0, 0.8], ..DepthNetwork::default() };
+    for (i, value) in network.values_mut().enumerate() {
+        *value = if i < 9 { 0.2 + 0.6 * s.uniform(i as u64) as f32 } else { 0.5 * s.normal(i as u64) as f32 };
+    }
+    let network = Some(Box::new(network));
+    MediumMaps { formation: Formation::DepthNetwork, network, ..random_medium(width, height, true, seed) }
 }

@@ -26,7 +26,7 @@ impl<'s> Drawn<'s> {
     /// A card is missing, fails its check or cannot hold the scene.
     pub fn new(scene: &'s Scene, engine: &EngineChoice) -> Result<Self, CardError> {
         let kind = scene.medium.kind();
-        let per_image = kind.formation() == Formation::PerImage;
+        let per_image = kind.formation() != Formation::PerGaussian;
         let beyond = per_image.then(|| CardError::Drawing(kind.name()));
         let chosen = match (engine, beyond) {
             (EngineChoice::Cpu, _) => Err(None),

@@ -18,7 +18,7 @@ use use3d_capture::Formation;
 use use3d_enhance::engine::{CpuFieldEngine, FieldEngine};
 use use3d_enhance::{EnhanceError, EnhanceParams, EnhanceView, Guidance};
 use use3d_reconstruct::engine::{CpuEngine, Engine};
-use use3d_reconstruct::{Medium, ReconstructParams, Strategy};
+use use3d_reconstruct::{ColorField, Medium, ReconstructParams, Strategy};
 use use3d_render::{Look, RenderError, Renderer};
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
@@ -74,6 +74,14 @@ pub enum CardError {
     /// Cards do not gather what these density rules read.
     #[error("expected cpu for the density rules `{0}`, which graphics cards do not have")]
     Rules(&'static str),
+    /// Cards move all parameters in every step.
+    #[error(
+        "expected cpu for turns in which the water moves alone (`turns.water`), which graphics cards do not have"
+    )]
+    Turns,
+    /// Cards have no kernel for this colour field.
+    #[error("expected cpu for the colour field `{0}`, for which graphics cards have no kernel")]
+    Colors(&'static str),
     /// The card of this name holds at most the first number of Gaussians, and the second was requested.
     #[error(
         "`{0}` has room for {1} Gaussians in one binding, and max_gaussians is {2}; expected a smaller max_gaussians, or cpu"
@@ -167,6 +175,12 @@ impl ChoosesEngine for ReconstructParams {
         }
         if self.densify.strategy == Strategy::Signed {
             return Some(CardError::Rules("3dgs"));
+        }
+        if self.turns.water > 0 {
+            return Some(CardError::Turns);
+        }
+        if self.color_field != ColorField::Off {
+            return Some(CardError::Colors(self.color_field.name()));
         }
         cards::loss_without_kernel(self).map(CardError::Loss)
     }
@@ -338,6 +352,9 @@ mod tests {
         let mut rules = asking("gpu", Medium::None);
         rules.densify.strategy = Strategy::Signed;
         assert!(check(&rules).unwrap_err().1.contains("density rules `3dgs`"));
+        let mut field = asking("gpu", Medium::None);
+        field.color_field = ColorField::Caustics;
+        assert!(check(&field).unwrap_err().1.contains("colour field `caustics`"));
         let auto = asking("auto", Medium::Mlp);
         assert_eq!((check(&auto), asked(&auto), class(&auto)), (Ok(()), None, Ok(None)));
         let (_, said) = stage1(&auto, 1000).unwrap();

@@ -11,8 +11,8 @@ const MODES = {
 };
 
 // The mode that a scene opens with: the one in which its enhancement was learnt. Colours that look right
-// through water are too strong without it.
-const openingMode = header => (header.enhancement ? (header.enhancement.water ? 'enhanced' : 'enhanced-clear') : 'reconstruction');
+// through water are too strong without it. A scene whose water the page cannot draw (`medium.of`) opens without it.
+const openingMode = header => (header.enhancement ? (header.enhancement.water ? 'enhanced' : 'enhanced-clear') : header.medium.of ? 'clear' : 'reconstruction');
 
 // The factors of a white balance for the colours of a look. The looks without water and `enhanced` have gains
 // of their own; all others stay unchanged.
@@ -22,5 +22,5 @@ const gainsOf = look => look.white?.[look.mode] ?? NO_GAINS;
 // The modes that a scene has.
 const modesOf = header => Object.keys(MODES).filter(name => {
   const mode = MODES[name];
-  return (!mode.graded || header.enhancement) && (name !== 'medium' || header.medium.kind !== 'none');
+  return (!mode.graded || header.enhancement) && (name !== 'medium' || header.medium.kind !== 'none') && !(mode.water && header.medium.of);
 });

@@ -100,10 +100,12 @@ function makePanel(viewer, navigation) {
   element('close-help').onclick = () => element('help').close();
 
   const water_ = { none: 'no water', global: 'one water everywhere', rbf: 'water that varies with place and direction', mlp: 'water that varies with direction',
-    image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian' };
+    image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian',
+    seasplat: 'its water belongs to finished images, and this page shows the scene without it',
+    uir: 'its water belongs to finished images, and this page shows the scene without it' };
   element('facts').textContent = [
     // The number of Gaussians changes during training, so it is left out.
-    header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
+    header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.of ?? header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
     header.cameras.length ? `${header.cameras.length} photographs` : null,
   ].filter(Boolean).join(' · ');
   return { actions, open: name => open(element(`tab-${name}`)), modes };
