@@ -66,7 +66,7 @@ mod tests {
         let (kept, counts) = stored(&flow, &mask);
         assert_eq!(counts.data(), [1, 1, 0, 0]);
         assert_eq!(kept.pixel(0, 0), [0.5, -3.25]);
-        assert_eq!((kept.pixel(1, 0), kept.pixel(3, 0)), ([511.984_375, 0.0], [0.0, 0.0]));
+        assert_eq!((kept.pixel(1, 0), kept.pixel(3, 0)), ([511.984_38, 0.0], [0.0, 0.0]));
         assert_eq!(stored(&kept, &counts), (kept, counts));
     }
 }
