@@ -127,7 +127,7 @@ pub(super) fn form_row(
     );
 }
 
-/// LaneSums over the pixels of a row of tiles: a [`DepthNetwork`] of lanes.
+/// Sums over the pixels of a row of tiles: a [`DepthNetwork`] of lanes.
 struct LaneSums {
     veil: [Lanes; 3],
     residual: [Lanes; 3],
