@@ -83,13 +83,13 @@ pub(crate) mod definition {
 }
 
 /// A photograph and the 2D enhancer's picture of it.
-struct Seen {
+struct JudgedView {
     captured: Image,
     proposal: Image,
     mask: Option<Mask>,
 }
 
-impl Seen {
+impl JudgedView {
     fn new(view: &View, proposer: &dyn Proposer) -> Result<Self, StageError> {
         let captured = load_pixels(view)?.to_image();
         let proposal = stored(&proposer.enhance(&captured)?);
@@ -116,11 +116,11 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let pairs = neighbours(&capture, params.neighbour_pairs);
     let test: BTreeSet<usize> = capture.split.test.iter().copied().collect();
     let alone: BTreeSet<usize> = test.iter().copied().chain(strip_views(&capture)).collect();
-    each_once(&alone, &pairs, |i, before: Option<&Seen>| {
+    each_once(&alone, &pairs, |i, before: Option<&JudgedView>| {
         context.alive()?;
         let view = &capture.views[i];
         context.progress_with(i as u64, capture.views.len() as u64, "views", &view.name);
-        let seen = Seen::new(view, proposer.as_ref())?;
+        let seen = JudgedView::new(view, proposer.as_ref())?;
         keep_proposal(out, view, &seen.proposal)?;
         if test.contains(&i) {
             baseline.views.insert(view.name.to_string(), seen.scores(&judges));
