@@ -39,7 +39,7 @@ fn the_authors_calibrator_serves_a_whole_run_and_by_hand() {
     let at = dir.path();
     let run = ["-q", "run", "reef", "--out", "out", "--calibrator", RELEASED];
     let (out, _) = expect(0, at, &[&run[..], &QUICK].concat());
-    // No pairs and no fit: import, reconstruct, targets, enhance, photographs, render, baseline, evaluate, report.
+    // No pairs and no fit: the stages from import to report without them, and the baseline.
     assert!(out.contains("reef: 9 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
     assert!(page.contains("A finished calibrator: released by the paper"), "the report names the calibrator");
@@ -111,7 +111,7 @@ fn a_scene_is_enhanced_in_clear_radiance() {
     let own = ["--set", "targets.proposer=fusion", "--set", "targets.source=clear"];
     let run = ["-q", "run", "reef", "--out", "out"];
     let (out, _) = expect(0, at, &[&run[..], &QUICK, &own].concat());
-    // No pairs and no fit: import, reconstruct, targets, enhance, photographs, render, baseline, evaluate, report.
+    // No pairs and no fit: the stages from import to report without them, and the baseline.
     assert!(out.contains("reef: 9 done, 0 cached"), "{out}");
     let page = std::fs::read_to_string(at.join("out/report.html")).expect("the report");
     assert!(page.contains("without its water. They are not calibrated."), "the report says what was done");
