@@ -10,6 +10,17 @@ use super::names::distinct;
 
 /// The preset whose results may be shown next to the published ones.
 const PAPER: &str = "paper";
+/// The methods that 3D-USE is compared with: the names of their presets, and those in tables.
+const COMPARED: [(&str, &str); 8] = [
+    ("3dgs", "3DGS"),
+    ("vanilla", "3DGS"),
+    ("seasplat", "SeaSplat"),
+    ("water-splatting", "WaterSplatting"),
+    ("watersplatting", "WaterSplatting"),
+    ("plenodium", "Plenodium"),
+    ("3d-uir", "3D-UIR"),
+    ("marinestd-gs", "MarineSTD-GS"),
+];
 /// Up to this many different values of one field are listed one by one.
 const SHOWN: usize = 3;
 
@@ -44,6 +55,12 @@ impl Configuration {
     /// True if everything is the paper's, so that published numbers may be shown next to these.
     pub fn is_the_papers(&self) -> bool {
         self.preset == PAPER && self.changed.is_empty() && self.data_of_the_paper
+    }
+
+    /// The method that was trained, if it is one that 3D-USE is compared with.
+    pub fn compared_method(&self) -> Option<&'static str> {
+        let of = |name: &str| COMPARED.iter().find(|(preset, _)| *preset == name);
+        self.preset.split(" + ").find_map(of).map(|(_, method)| *method)
     }
 
     /// The preset and the changes to it.

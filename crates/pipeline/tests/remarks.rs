@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use use3d_config::{LoadOptions, from_text};
+use use3d_judge::configuration::Configuration;
 use use3d_pipeline::remarks::{unequal, without_tables};
 use use3d_stages::registry;
 use use3d_workflow::Graph;
@@ -64,4 +65,12 @@ fn a_run_that_leaves_the_tables_out_says_so() {
         said(&["evaluate"]).is_some_and(|said| said.contains("--until evaluate: this leaves out tables/"))
     );
     assert_eq!((said(&["report"]), said(&[])), (None, None));
+}
+
+#[test]
+fn tables_name_every_method_but_our_own() {
+    for method in use3d_config::METHODS {
+        let made = Configuration { preset: (*method).into(), ..Configuration::default() };
+        assert_eq!(made.compared_method().is_none(), *method == "3d-use", "{method}");
+    }
 }

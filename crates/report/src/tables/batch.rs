@@ -189,6 +189,15 @@ impl<'a> Batch<'a> {
         in_variant(Method::Enhanced.label(), variant)
     }
 
+    /// The name of the method that was trained in a variant: that of this program, unless it is another one.
+    pub(super) fn trained(&self, variant: &str) -> String {
+        let made = self.of_group(ALL, variant).iter().find_map(|scene| scene.configuration.as_deref());
+        match made.and_then(Configuration::compared_method) {
+            Some(method) => in_variant(&format!("{method}, in this program"), variant),
+            None => Self::program(variant),
+        }
+    }
+
     /// A row of this program's own numbers.
     pub(super) fn own_row(&self, label: String, variant: &str, cells: Vec<Cell>) -> Row {
         let made_by = self.made_by.get(variant).cloned().unwrap_or_default();
@@ -244,7 +253,7 @@ impl<'a> Batch<'a> {
                     continue;
                 };
                 let label =
-                    if results.len() == 1 { Self::program(variant) } else { self.label(method, variant) };
+                    if results.len() == 1 { self.trained(variant) } else { self.label(method, variant) };
                 rows.push(self.own_row(label, variant, means(&[result], method, quantities)));
             }
             let first = rows.iter().rposition(|row: &Row| !row.scene.is_empty()).map_or(0, |at| at + 1);

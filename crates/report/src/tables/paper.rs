@@ -198,7 +198,7 @@ impl<'a> Batch<'a> {
         }
         for variant in &self.whole {
             let mut row = self.row(Method::Reconstruction, variant, &RECONSTRUCTION);
-            row.label = Self::program(variant);
+            row.label = self.trained(variant);
             let scenes = self.of_group(ALL, variant).iter();
             let speeds: Vec<f64> = scenes.filter_map(|s| Some(s.speed.as_ref()?.fps.get())).collect();
             if timed {
@@ -586,6 +586,16 @@ mod tests {
         assert_eq!(of("enhancement", "3D-USE, enhanced · v"), Some(0.6));
         assert_eq!(of("enhancement", "3D-USE, this program · w"), Some(0.6));
         assert_eq!((of("ablation-stage2", "v"), of("ablation-stage2", "w")), (Some(0.7), Some(0.6)));
+    }
+
+    #[test]
+    fn another_method_does_not_have_the_name_of_this_program() {
+        let mut other = scene("reef", "", "", 20.0);
+        other.configuration.get_or_insert_default().preset = "seasplat + paper".into();
+        for table in tables(&[other]).iter().filter(|table| table.name.starts_with("reconstruction")) {
+            assert!(table.markdown().contains("SeaSplat, in this program"), "{}", table.markdown());
+            assert!(!table.markdown().contains("3D-USE, this program"), "{}", table.markdown());
+        }
     }
 
     #[test]
