@@ -102,15 +102,13 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     let mut report = RefineReport::default();
     let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
+    let wide = |i: usize| largest(i) > settings.split_scale;
     // In units of the threshold of duplicates, so that splits and duplicates can be compared.
     let pull = |i: usize| match settings.split_threshold {
-        Some(split) if largest(i) > settings.split_scale => {
-            statistics.absolute_mean(i) * settings.gradient_threshold / split
-        }
+        Some(split) if wide(i) => statistics.absolute_mean(i) * settings.gradient_threshold / split,
         _ => statistics.mean(i),
     };
     let pulled = |i: usize| pull(i) > settings.gradient_threshold;
-    let wide = |i: usize| largest(i) > settings.split_scale;
     let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
     let fits = |i: usize| match settings.after_growth.filter(|_| settings.grow && pulled(i) && wide(i)) {
         // Children have no radius yet.
