@@ -4,13 +4,11 @@ Written from the equations in docs/science/methods.md alone, in NumPy. Gradients
 same formulas run in complex64 give f32_max_abs_err, as in rivals.py. Usage: python marinestd.py FOLDER
 """
 
-import json
-import struct
 import sys
 
 import numpy as np
 
-from rivals import absolute, gradient
+from part import Part, absolute, gradient
 
 C0 = 0.282094791773878
 
@@ -88,40 +86,10 @@ def per_view(numbers, centers, axes, center, axis):
 
 def main(folder):
     rng = np.random.default_rng(622)
-    tensors, meta, cases = {}, {}, {}
+    part = Part("marinestd", "Parts of MarineSTD-GS")
 
-    def put(name, value, error=None):
-        value = np.asarray(value, np.float64 if error is not None and np.size(value) <= 1000 else np.float32)
-        tensors[name] = value
-        meta[name] = {"dtype": str(value.dtype), "shape": list(value.shape)}
-        if error is not None:
-            top = float(np.abs(value).max())
-            meta[name] |= {
-                "max_abs": top,
-                "f32_max_abs_err": float(error),
-                "tol_abs": max(10 * float(error), 2e-6 * top, 1e-12),
-            }
-
-    def case(name, function, moving, inputs, config, outputs, note):
-        cases[name] = {"config": config, "grads": moving, "note": note, "pulls": {o: [o] for o in outputs}}
-        for key, value in inputs.items():
-            put(f"{name}/in.{key}", value)
-
-        def run(real, which, x):
-            return function(**({k: v.astype(real) for k, v in inputs.items()} | {which: x}))
-
-        exact = run(np.float64, moving[0], inputs[moving[0]].astype(np.complex128))
-        single = run(np.float32, moving[0], inputs[moving[0]].astype(np.complex64))
-        for o in outputs:
-            put(f"{name}/out.{o}", exact[o].real, np.abs(exact[o].real - single[o].real).max())
-            cot = np.float32(rng.uniform(0.5, 1.5, np.shape(exact[o])))
-            put(f"{name}/cot.{o}", cot)
-            for which in moving:
-                x = inputs[which]
-                pulled = lambda real: lambda z: (cot.astype(real) * run(real, which, z)[o]).sum()
-                g = gradient(pulled(np.float64), x.astype(np.float64), np.complex128)
-                s = gradient(pulled(np.float32), x.astype(np.float32), np.complex64)
-                put(f"{name}/grad.{o}.{which}", g, np.abs(g - s).max())
+    def case(name, function, moving, inputs, config, note):
+        part.case(name, function, moving, inputs, config, note, lambda shape: np.float32(rng.uniform(0.5, 1.5, shape)))
 
     h, w = 21, 26
     depth = (3 + np.cos(np.arange(h)[:, None] / 5) + np.sin(np.arange(w)[None] / 4)).astype(np.float32)
@@ -138,7 +106,6 @@ def main(folder):
             ["depth"],
             {"depth": depth, "target": target, "prior": prior},
             {"height": h, "width": w},
-            ["smoothness"],
             "empty pixels and unknown priors; edges of the " + ("prior and the photograph" if adaptive else "photograph"),
         )
 
@@ -161,7 +128,6 @@ def main(folder):
         ["values"],
         {"values": values, "means": means, "constants": constants},
         {"views": views, "view": 1, "sides": sides},
-        ["shown", "squares"],
         "grids of 2, 3 and 4 nodes a side; centres inside and outside of the cube",
     )
     centers = rng.standard_normal((5, 3)).astype(np.float32)
@@ -180,24 +146,9 @@ def main(folder):
             "axis": np.float32([0, -1, 0]),
         },
         {},
-        ["maps"],
         "two views with one centre, of which the axis chooses one",
     )
-    with open(f"{folder}/marinestd.json", "w") as file:
-        info = {"cases": cases, "part": "marinestd", "tensors": meta, "title": "Parts of MarineSTD-GS"}
-        json.dump(info, file, indent=1, sort_keys=True)
-        file.write("\n")
-    header, blob = {}, b""
-    for name in sorted(tensors):
-        data = tensors[name].tobytes()
-        kind = {"float64": "F64", "float32": "F32"}[str(tensors[name].dtype)]
-        span = [len(blob), len(blob) + len(data)]
-        header[name] = {"dtype": kind, "shape": list(tensors[name].shape), "data_offsets": span}
-        blob += data
-    head = json.dumps(header).encode()
-    head += b" " * (-len(head) % 8)
-    with open(f"{folder}/marinestd.safetensors", "wb") as file:
-        file.write(struct.pack("<Q", len(head)) + head + blob)
+    part.write(folder)
 
 
 if __name__ == "__main__":

@@ -5,11 +5,11 @@ imaginary part h f'(x) to the last digit. The same formulas run in complex64 giv
 Usage: python rivals.py FOLDER
 """
 
-import json
-import struct
 import sys
 
 import numpy as np
+
+from part import Part, absolute, gradient
 
 EPS = 1e-3
 
@@ -35,10 +35,6 @@ def ssim(a, b):
     va, vb, vab = conv(a * a, taps) - ma * ma, conv(b * b, taps) - mb * mb, conv(a * b, taps) - ma * mb
     s = (2 * ma * mb + c1) / (ma * ma + mb * mb + c1) * (2 * vab + c2) / (va + vb + c2)
     return s.mean()
-
-
-def absolute(z):
-    return np.where(z.real < 0, -z, z)
 
 
 def photometric(pred, target, lam, relative):
@@ -71,42 +67,19 @@ def ranking(depth, prior):
     return {"depth_ranking": np.where(product.real > 0, product, 0).mean()}
 
 
-def gradient(f, x, dtype):
-    step = 1e-20
-    g = np.zeros(x.shape, x.dtype)
-    moved = x.astype(dtype)
-    for i in range(x.size):
-        moved.flat[i] += 1j * step
-        g.flat[i] = f(moved).imag / step
-        moved.flat[i] = x.flat[i]
-    return g
-
-
 def main(folder):
     rng = np.random.default_rng(62)
-    tensors, meta, cases = {}, {}, {}
-
-    def put(name, value, error=None):
-        value = np.asarray(value, np.float64 if error is not None and np.size(value) <= 1000 else np.float32)
-        tensors[name] = value
-        meta[name] = {"dtype": str(value.dtype), "shape": list(value.shape)}
-        if error is not None:
-            top = float(np.abs(value).max())
-            meta[name] |= {
-                "max_abs": top,
-                "f32_max_abs_err": float(error),
-                "tol_abs": max(10 * float(error), 2e-6 * top, 1e-12),
-            }
+    part = Part("rivals", "Terms of the compared methods")
 
     def case(name, function, moving, inputs, config, outputs, note):
-        cases[name] = {
+        part.cases[name] = {
             "config": config | {"height": inputs[moving].shape[0], "width": inputs[moving].shape[1]},
             "grads": [moving],
             "note": note,
             "pulls": {o: [o] for o in outputs},
         }
         for key, value in inputs.items():
-            put(f"{name}/in.{key}", value)
+            part.put(f"{name}/in.{key}", value)
 
         def run(real, x):
             given = {k: v.astype(real) for k, v in inputs.items()} | {moving: x}
@@ -115,13 +88,13 @@ def main(folder):
         exact = run(np.float64, inputs[moving].astype(np.complex128))
         single = run(np.float32, inputs[moving].astype(np.complex64))
         for o in outputs:
-            put(f"{name}/out.{o}", exact[o].real, abs(exact[o].real - single[o].real))
+            part.put(f"{name}/out.{o}", exact[o].real, abs(exact[o].real - single[o].real))
             cotangent = np.float32(rng.uniform(0.5, 1.5))
-            put(f"{name}/cot.{o}", cotangent)
+            part.put(f"{name}/cot.{o}", cotangent)
             x = inputs[moving]
             g = float(cotangent) * gradient(lambda z: run(np.float64, z)[o], x.astype(np.float64), np.complex128)
             s = cotangent * gradient(lambda z: run(np.float32, z)[o], x.astype(np.float32), np.complex64)
-            put(f"{name}/grad.{o}.{moving}", g, np.abs(g - s).max())
+            part.put(f"{name}/grad.{o}.{moving}", g, np.abs(g - s).max())
 
     h, w = 19, 23
     base = 0.5 + 0.3 * np.sin(np.arange(h)[:, None, None] / 3 + np.arange(w)[None, :, None] / 4 + np.arange(3))
@@ -153,24 +126,7 @@ def main(folder):
         ["depth_ranking"],
         "16 x 16 overlapping patches; unknown depths and priors, some patches without a known pixel",
     )
-    with open(f"{folder}/rivals.json", "w") as file:
-        info = {"cases": cases, "part": "rivals", "tensors": meta, "title": "Terms of the compared methods"}
-        json.dump(info, file, indent=1, sort_keys=True)
-        file.write("\n")
-    header, blob = {}, b""
-    for name in sorted(tensors):
-        data = tensors[name].tobytes()
-        kind = {"float64": "F64", "float32": "F32"}[str(tensors[name].dtype)]
-        header[name] = {
-            "dtype": kind,
-            "shape": list(tensors[name].shape),
-            "data_offsets": [len(blob), len(blob) + len(data)],
-        }
-        blob += data
-    head = json.dumps(header).encode()
-    head += b" " * (-len(head) % 8)
-    with open(f"{folder}/rivals.safetensors", "wb") as file:
-        file.write(struct.pack("<Q", len(head)) + head + blob)
+    part.write(folder)
 
 
 if __name__ == "__main__":

@@ -4,13 +4,11 @@ Written from the published equations alone, in NumPy. Gradients are by complex s
 Usage: python seasplat.py FOLDER
 """
 
-import json
-import struct
 import sys
 
 import numpy as np
 
-from rivals import absolute, gradient
+from part import Part, absolute, gradient
 
 
 def normalised(depth, accumulation):
@@ -78,45 +76,12 @@ def water(numbers, lit):
 
 def main(folder):
     rng = np.random.default_rng(624)
-    tensors, meta, cases = {}, {}, {}
-
-    def put(name, value, error=None):
-        value = np.asarray(value, np.float64 if error is not None and np.size(value) <= 1000 else np.float32)
-        tensors[name] = value
-        meta[name] = {"dtype": str(value.dtype), "shape": list(value.shape)}
-        if error is not None:
-            top = float(np.abs(value).max())
-            meta[name] |= {
-                "max_abs": top,
-                "f32_max_abs_err": float(error),
-                "tol_abs": max(10 * float(error), 2e-6 * top, 1e-12),
-            }
+    part = Part("seasplat", "SeaSplat's formation, water and priors")
 
     def case(name, function, moving, inputs, note, config=None):
         h, w = next(v for v in inputs.values() if v.ndim == 3 or v.shape[0] > 3).shape[:2]
-        cases[name] = {"config": {"height": h, "width": w} | (config or {}), "grads": moving, "note": note}
-        for key, value in inputs.items():
-            put(f"{name}/in.{key}", value)
-
-        def run(real, key=None, x=None):
-            given = {k: v.astype(real) for k, v in inputs.items()}
-            return function(**(given | ({key: x} if key else {})))
-
-        # One input is complex, so that complex64 is used in the second run.
-        first = moving[0]
-        exact = run(np.float64, first, inputs[first].astype(np.complex128))
-        single = run(np.float32, first, inputs[first].astype(np.complex64))
-        cases[name]["pulls"] = {o: [o] for o in exact}
-        for o, value in exact.items():
-            put(f"{name}/out.{o}", value.real, np.abs(value.real - single[o].real).max())
-            cot = rng.uniform(0.5, 1.5, value.shape).astype(np.float32) * rng.choice([-1, 1], value.shape)
-            put(f"{name}/cot.{o}", cot)
-            for key in moving:
-                x = inputs[key]
-                pull = lambda real, z, key=key, o=o, cot=cot: (cot.astype(real) * run(real, key, z)[o]).sum()
-                g = gradient(lambda z: pull(np.float64, z), x.astype(np.float64), np.complex128)
-                s = gradient(lambda z: pull(np.float32, z), x.astype(np.float32), np.complex64)
-                put(f"{name}/grad.{o}.{key}", g, np.abs(g - s).max())
+        signed = lambda shape: rng.uniform(0.5, 1.5, shape).astype(np.float32) * rng.choice([-1, 1], shape)
+        part.case(name, function, moving, inputs, {"height": h, "width": w} | (config or {}), note, signed)
 
     h, w = 9, 11
     shape = (h, w, 3)
@@ -168,22 +133,7 @@ def main(folder):
     numbers[0] -= 0.9
     numbers[1, 2] = -0.3
     case("water", water, ["numbers"], {"numbers": numbers, "lit": light}, "one exponent below zero")
-
-    with open(f"{folder}/seasplat.json", "w") as file:
-        info = {"cases": cases, "part": "seasplat", "tensors": meta, "title": "SeaSplat's formation, water and priors"}
-        json.dump(info, file, indent=1, sort_keys=True)
-        file.write("\n")
-    header, blob = {}, b""
-    for name in sorted(tensors):
-        data = np.ascontiguousarray(tensors[name]).tobytes()
-        kind = {"float64": "F64", "float32": "F32"}[str(tensors[name].dtype)]
-        offsets = [len(blob), len(blob) + len(data)]
-        header[name] = {"dtype": kind, "shape": list(tensors[name].shape), "data_offsets": offsets}
-        blob += data
-    head = json.dumps(header).encode()
-    head += b" " * (-len(head) % 8)
-    with open(f"{folder}/seasplat.safetensors", "wb") as file:
-        file.write(struct.pack("<Q", len(head)) + head + blob)
+    part.write(folder)
 
 
 if __name__ == "__main__":

@@ -4,12 +4,10 @@ Written from the equations of docs/science/methods.md alone, in NumPy, like riva
 Usage: python uir.py FOLDER
 """
 
-import json
-import struct
 import sys
 
 import numpy as np
-from rivals import absolute, gradient
+from part import Part, absolute, gradient
 
 UNITS, CODE, POSE = 32, 16, 12
 
@@ -92,26 +90,13 @@ def flatness(scales):
 
 def main(folder):
     rng = np.random.default_rng(63)
-    tensors, meta, cases = {}, {}, {}
-
-    def put(name, value, error=None):
-        value = np.asarray(value)
-        small = error is not None and value.size <= 3
-        tensors[name] = np.ascontiguousarray(value, np.float64 if small else np.float32)
-        meta[name] = {"dtype": str(tensors[name].dtype), "shape": list(value.shape)}
-        if error is not None:
-            top = float(np.abs(value).max())
-            meta[name] |= {
-                "max_abs": top,
-                "f32_max_abs_err": float(error),
-                "tol_abs": max(10 * float(error), 2e-6 * top, 1e-12),
-            }
+    part = Part("uir", "Water, formation, terms of 3D-UIR")
 
     def case(name, function, moving, inputs, note, config=None, pull="all", pulled=None):
         exact = function(**{k: v.astype(np.float64) for k, v in inputs.items()})
         outputs, pulls = list(exact), pulled or list(exact)
         shape = next(iter(inputs.values())).shape
-        cases[name] = {
+        part.cases[name] = {
             "config": config or {"height": shape[0], "width": shape[1]},
             "grads": moving,
             "note": note,
@@ -120,10 +105,10 @@ def main(folder):
         single = function(**{k: v.astype(np.float32) for k, v in inputs.items()})
         cotangents = {o: np.float32(rng.uniform(0.5, 1.5, np.shape(exact[o]))) for o in outputs}
         for key, value in inputs.items():
-            put(f"{name}/in.{key}", value)
+            part.put(f"{name}/in.{key}", value)
         for o in outputs:
-            put(f"{name}/out.{o}", exact[o], np.abs(exact[o] - single[o]).max())
-            put(f"{name}/cot.{o}", cotangents[o])
+            part.put(f"{name}/out.{o}", exact[o], np.abs(exact[o] - single[o]).max())
+            part.put(f"{name}/cot.{o}", cotangents[o])
 
         def total(real, key, x):
             found = function(**{k: v.astype(real) for k, v in inputs.items()} | {key: x})
@@ -133,7 +118,7 @@ def main(folder):
             x = inputs[key]
             g = gradient(lambda v: total(np.float64, key, v), x.astype(np.float64), np.complex128)
             s = gradient(lambda v: total(np.float32, key, v), x.astype(np.float32), np.complex64)
-            put(f"{name}/grad.{pull}.{key}", g, np.abs(g - s).max())
+            part.put(f"{name}/grad.{pull}.{key}", g, np.abs(g - s).max())
 
     f = np.float32
     h, w = 19, 23
@@ -183,21 +168,7 @@ def main(folder):
     del pixels["prior"]
     case("variation", variation, ["depth", "opacity"], pixels, "some rays hit nothing")
     case("flatness", flatness, ["scales"], {"scales": n(0.7, 40, 3) - f(3)}, "all Gaussians are in view")
-    with open(f"{folder}/uir.json", "w") as file:
-        info = {"cases": cases, "part": "uir", "tensors": meta, "title": "Water, formation, terms of 3D-UIR"}
-        json.dump(info, file, indent=1, sort_keys=True)
-        file.write("\n")
-    header, blob = {}, b""
-    for name in sorted(tensors):
-        data = tensors[name].tobytes()
-        kind = {"float64": "F64", "float32": "F32"}[str(tensors[name].dtype)]
-        ends = [len(blob), len(blob) + len(data)]
-        header[name] = {"dtype": kind, "shape": list(tensors[name].shape), "data_offsets": ends}
-        blob += data
-    head = json.dumps(header).encode()
-    head += b" " * (-len(head) % 8)
-    with open(f"{folder}/uir.safetensors", "wb") as file:
-        file.write(struct.pack("<Q", len(head)) + head + blob)
+    part.write(folder)
 
 
 if __name__ == "__main__":
