@@ -109,7 +109,7 @@ pub struct SceneSection {
     pub summary: String,
     /// Its story in plain words.
     pub story: Story,
-    /// What to do next, as whole commands: the reason and the command.
+    /// The next steps, each with its reason and its whole command.
     pub commands: Vec<(String, String)>,
     /// The verdict on its scores, in sentences.
     pub verdict: Vec<Sentence>,

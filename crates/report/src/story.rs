@@ -1,4 +1,4 @@
-//! The story of a scene in short and plain words: one sentence, three facts, and what to do next. The figures
+//! The story of a scene in short and plain words: one sentence, three facts, and the next steps. The figures
 //! behind it, one by one, are those of [`verdict`](crate::verdict).
 
 use use3d_capture::flat_stem;
@@ -18,7 +18,7 @@ pub struct Story {
     pub headline: Option<Sentence>,
     /// Facts, each with its question.
     pub facts: Vec<(&'static str, String)>,
-    /// What to do next, the most useful first.
+    /// The next steps, the most useful first.
     pub next: Vec<NextStep>,
 }
 

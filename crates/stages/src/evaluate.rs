@@ -298,7 +298,7 @@ struct Evaluation<'a> {
     looker: Looker<'a>,
     /// The reference variant's stage 1; `None` if it is the scene's own.
     reference: Option<Reference<'a>>,
-    /// What is known of the photographs beforehand.
+    /// The results on photographs that are known beforehand.
     baseline: Baseline,
 }
 

@@ -1,4 +1,4 @@
-//! What the reader of a report can do next, as whole commands to copy.
+//! The next steps for the reader of a report, as whole commands to copy.
 
 use std::path::Path;
 

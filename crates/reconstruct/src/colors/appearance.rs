@@ -24,7 +24,7 @@ use super::{ColorModel, ColorRole};
 const CODE: usize = 16;
 const HIDDEN: usize = 32;
 const OUTPUTS: usize = 6;
-/// Where the runs start: W₁ over z, b₁, W₂, b₂, codes.
+/// The first value of each run but W₁ over c: of W₁ over z, b₁, W₂, b₂, codes.
 const STARTS: [usize; 5] = {
     let (code, bias) = (3 * HIDDEN, (3 + CODE) * HIDDEN);
     let outer = bias + HIDDEN;

@@ -85,8 +85,8 @@ struct Lit {
 }
 
 impl Caustics {
-    /// Where the runs start: W₁ over features and colour, W₁ over the code, b, W₂, codes. The grids stand
-    /// before them.
+    /// The first value of each run but the grids: of W₁ over features and colour, W₁ over the code, b, W₂,
+    /// codes.
     fn starts(&self) -> [usize; 5] {
         let inner = self.sides.iter().map(|side| FEATURES * side * side * side).sum();
         let code = inner + HIDDEN * INPUTS;

@@ -24,9 +24,9 @@ pub(crate) const BASELINE: &str = "baseline.json";
 const ENHANCED: &str = "proposal";
 const FLOW: &str = "flow";
 
-/// How many pairs are compared if nothing else is said, of captured views and of frames, and the frames of
-/// a path from one training view to the next.
+/// The usual number of pairs that are compared, of captured views and of frames.
 pub(crate) const PAIRS: usize = 8;
+/// The usual number of frames of a path from one training view to the next.
 pub(crate) const STEPS: usize = 4;
 
 /// The pairs of captured views that are compared, by the first of them: at most `most`.
