@@ -1,6 +1,6 @@
 //! The interface of a model of the water, and the types that it shares with its users.
 
-use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
+use use3d_capture::{Camera, Image, Lattice, MediumMaps, Pose};
 
 use crate::tensors::{Put, Tensors};
 use crate::{Coefficients, MediumError, Role};
@@ -37,6 +37,11 @@ pub struct Anchors<'a> {
     pub log_widths: &'a [f32],
     /// Number of anchors that share a view.
     pub top_k: usize,
+}
+
+/// Gives all pixels of a map one colour.
+pub(crate) fn fill(map: &mut Image, color: [f32; 3]) {
+    color.into_iter().enumerate().for_each(|(c, value)| map.plane_mut(c).fill(value));
 }
 
 /// A model of the water: the interface of one row of the table. Degrees of spherical harmonics are 0 to 3.

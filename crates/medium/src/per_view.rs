@@ -15,7 +15,7 @@ use use3d_capture::{Camera, Lattice, MediumMaps, Pose};
 use use3d_numerics::functions::scalar;
 use use3d_numerics::sums;
 
-use crate::medium::{Medium, MediumStart};
+use crate::medium::{Medium, MediumStart, fill};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 
@@ -67,11 +67,10 @@ impl Medium for MediumPerView {
     fn maps(&self, camera: &Camera, lattice: &Lattice, _degree: usize, out: &mut MediumMaps) {
         out.resize(lattice.width(), lattice.height());
         let [p, q, r] = self.numbers[self.view(camera)];
-        for c in 0..3 {
-            out.color.plane_mut(c).fill(scalar::sigmoid(p[c]));
-            out.attenuation.plane_mut(c).fill(scalar::softplus(q[c]) / UNIT);
-            out.backscatter.plane_mut(c).fill(scalar::softplus(r[c]) / UNIT);
-        }
+        let coefficient = |x: f32| scalar::softplus(x) / UNIT;
+        fill(&mut out.color, p.map(scalar::sigmoid));
+        fill(&mut out.attenuation, q.map(coefficient));
+        fill(&mut out.backscatter, r.map(coefficient));
     }
 
     fn backward(

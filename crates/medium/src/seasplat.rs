@@ -11,12 +11,12 @@
 //! A degree of 0 stands for the time before there is water. Then the colour `c_m` is the background behind
 //! the scene, and the coefficients are zero. With any other degree the whole model holds.
 
-use use3d_capture::{Camera, Formation, Image, Lattice, MediumMaps};
+use use3d_capture::{Camera, Formation, Lattice, MediumMaps};
 use use3d_numerics::functions::scalar::sigmoid;
 use use3d_numerics::math;
 use use3d_numerics::sums::sum;
 
-use crate::medium::{Medium, MediumStart};
+use crate::medium::{Medium, MediumStart, fill};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 
@@ -49,12 +49,6 @@ impl Medium for MediumSeasplat {
         out.resize(lattice.width(), lattice.height());
         let [far, backscatter, attenuation] = self.numbers;
         let coefficient = |x: f32| if degree == 0 { 0.0 } else { x.max(0.0) };
-        let fill = |image: &mut Image, values: [f32; 3]| {
-            let pixels = image.pixels().max(1);
-            for (plane, value) in image.data_mut().chunks_exact_mut(pixels).zip(values) {
-                plane.fill(value);
-            }
-        };
         fill(&mut out.color, far.map(sigmoid));
         fill(&mut out.backscatter, backscatter.map(coefficient));
         fill(&mut out.attenuation, attenuation.map(coefficient));
@@ -70,8 +64,7 @@ impl Medium for MediumSeasplat {
         gradient: &mut Self,
     ) {
         for (q, d_map) in [&d_maps.color, &d_maps.backscatter, &d_maps.attenuation].into_iter().enumerate() {
-            let pixels = d_map.pixels().max(1);
-            for (c, plane) in d_map.data().chunks_exact(pixels).enumerate() {
+            for (c, plane) in d_map.planes().into_iter().enumerate() {
                 let value = self.numbers[q][c];
                 let slope = match q {
                     0 => sigmoid(value) * (1.0 - sigmoid(value)),
@@ -108,7 +101,7 @@ impl Medium for MediumSeasplat {
 
 #[cfg(test)]
 mod tests {
-    use use3d_capture::{Intrinsics, Pose};
+    use use3d_capture::{Image, Intrinsics, Pose};
 
     use super::*;
 

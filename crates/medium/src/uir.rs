@@ -11,12 +11,12 @@
 //! biases of its network. Maps show `c_m` and `k`. As attenuation coefficient they show `−ln a` at one scene
 //! unit, which no formula uses.
 
-use use3d_capture::{Camera, DEPTH_UNITS, DepthNetwork, Image, Lattice, MediumMaps};
+use use3d_capture::{Camera, DEPTH_UNITS, DepthNetwork, Lattice, MediumMaps};
 use use3d_numerics::functions::scalar;
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 
-use crate::medium::{Medium, MediumStart};
+use crate::medium::{Medium, MediumStart, fill};
 use crate::tensors::{self, Put, Tensors};
 use crate::{MediumError, Role};
 
@@ -124,10 +124,6 @@ fn pose(camera: &Camera) -> [f32; POSE] {
     let center = camera.pose.center().to_array();
     let rotation = camera.pose.rotation.transpose().to_cols_array();
     std::array::from_fn(|k| if k < 3 { center[k] as f32 } else { rotation[k - 3] as f32 })
-}
-
-fn fill(image: &mut Image, color: [f32; 3]) {
-    color.into_iter().enumerate().for_each(|(c, value)| image.plane_mut(c).fill(value));
 }
 
 impl Medium for MediumUir {
