@@ -401,7 +401,7 @@ impl ReconstructRun<'_> {
     fn degrees(&self, step: u64) -> Degrees {
         let colors = self.params.active_degree(step);
         let water = match self.params.has_turns() {
-            true if step < self.params.water_begins() => 0,
+            true if !self.params.has_water(step) => 0,
             true => 3,
             false => colors.max(self.least_water_degree),
         };

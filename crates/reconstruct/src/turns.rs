@@ -42,6 +42,11 @@ impl ReconstructParams {
         if self.has_turns() { self.steps_of(self.turns.from) } else { 0 }
     }
 
+    /// True if there is water in a step.
+    pub(crate) fn has_water(&self, step: u64) -> bool {
+        step >= self.water_begins()
+    }
+
     fn steps_of(&self, share: f64) -> u64 {
         (share * self.course() as f64).round() as u64
     }

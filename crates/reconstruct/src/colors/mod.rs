@@ -159,9 +159,10 @@ impl ColorState {
         let Some(model) = self.field.model() else { return };
         own.clear();
         own.extend(gaussians.sh.iter().map(|sh| sh[0]));
-        let mut shown = own.clone();
-        model.show(&self.values, view, &gaussians.means, &mut shown);
-        restore(gaussians, &shown);
+        model.show(&self.values, view, &gaussians.means, own);
+        for (sh, shown) in gaussians.sh.iter_mut().zip(own) {
+            std::mem::swap(&mut sh[0], shown);
+        }
     }
 
     /// Gives the scene the colours that remain of it.

@@ -24,7 +24,7 @@ pub(super) const TERM: LossTerm = LossTerm {
 };
 
 fn weight(params: &ReconstructParams, step: u64) -> f64 {
-    if step < params.water_begins() { 0.0 } else { params.priors.backscatter }
+    if params.has_water(step) { params.priors.backscatter } else { 0.0 }
 }
 
 /// The factor of values below zero.

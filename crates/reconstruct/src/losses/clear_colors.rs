@@ -30,7 +30,7 @@ pub(super) const TERM: LossTerm = LossTerm {
 };
 
 fn after(params: &ReconstructParams, step: u64, weight: f64) -> f64 {
-    if step < params.water_begins() { 0.0 } else { weight }
+    if params.has_water(step) { weight } else { 0.0 }
 }
 
 /// The clear colour up to which nothing is too bright.
