@@ -405,7 +405,7 @@ fn ordered(mut stems: Vec<String>, scores: Option<&SceneScores>, most: usize) ->
     let first = [by_score.get(by_score.len() / 2), by_score.last()];
     let mut order: Vec<String> = Vec::new();
     let rest = (0..stems.len().min(most)).map(|k| &stems[k * stems.len() / stems.len().min(most)]);
-    for stem in first.into_iter().flatten().chain(rest).take_while(|_| most > 0) {
+    for stem in first.into_iter().flatten().chain(rest) {
         if !order.contains(stem) && order.len() < most {
             order.push(stem.clone());
         }

@@ -59,7 +59,7 @@ fn balanced(clear: &Image) -> Image {
     for (c, mean) in means.iter_mut().enumerate() {
         let plane = out.plane_mut(c);
         let (low, high) = limits(plane);
-        plane.iter_mut().for_each(|v| *v = v.clamp(low, high));
+        plane.iter_mut().for_each(|v| *v = v.max(low).min(high));
         *mean = (plane.iter().map(|v| f64::from(*v)).sum::<f64>() / plane.len().max(1) as f64) as f32;
     }
     let grey = means.iter().sum::<f32>() / 3.0;
