@@ -18,7 +18,8 @@ pub(super) fn commands(next: &[NextStep], typed: &str, results: Option<&Path>) -
     while let Some(rest) = typed.strip_prefix('-').and_then(|flag| flag.split_once(' ')) {
         typed = rest.1;
     }
-    let is_demo = typed.split(' ').any(|word| word == "demo");
+    let verb = typed.split(' ').next().unwrap_or_default();
+    let is_demo = verb == "demo";
     let mut all = Vec::new();
     if is_demo {
         all.push(said("Try your own photographs", "use3d run my-photographs/".into()));
@@ -31,7 +32,7 @@ pub(super) fn commands(next: &[NextStep], typed: &str, results: Option<&Path>) -
                     "use3d check my-photographs/".into(),
                 ));
             }
-            NextStep::Again(options) if !is_demo && typed.split(' ').any(|word| word == "run") => {
+            NextStep::Again(options) if verb == "run" => {
                 let again =
                     options.iter().fold(typed.to_string(), |run, (name, value)| with(&run, name, *value));
                 all.push(said("Make the scene sharper with a longer run", format!("use3d {again}")));
@@ -50,12 +51,18 @@ pub(super) fn commands(next: &[NextStep], typed: &str, results: Option<&Path>) -
     all
 }
 
+/// The other spellings of `--iterations N`.
+const SPELLINGS: [&str; 2] = ["--iterations=", "reconstruct.iterations="];
+
 /// A command with another number behind an option, which it may have already.
 fn with(command: &str, option: &str, value: u64) -> String {
-    match command.split_once(option) {
-        Some((before, after)) => {
+    let others = SPELLINGS.iter().copied().filter(|_| option == "--iterations ");
+    let spelled = [option, option.trim_start_matches("--set ")].into_iter().chain(others);
+    let found = spelled.into_iter().find_map(|own| Some((own, command.split_once(own)?)));
+    match found {
+        Some((own, (before, after))) => {
             let rest = after.trim_start_matches(|c: char| c.is_ascii_digit());
-            format!("{before}{option}{value}{rest}")
+            format!("{before}{own}{value}{rest}")
         }
         None => format!("{command} {option}{value}"),
     }
@@ -74,6 +81,10 @@ mod tests {
         assert_eq!(said[0].1, again);
         assert_eq!(said[1].1, "use3d photographs 'use3d-out/my reef' --out 'use3d-out/my reef.photographs'");
         assert_eq!(said.len(), 3);
+        let said = of("use3d run demo/ --set reconstruct.iterations=300 --set=enhance.iterations=9");
+        let again = "use3d run demo/ --set reconstruct.iterations=3000 --set=enhance.iterations=1000";
+        assert_eq!(said[0].1, again);
+        assert!(of("use3d run a --iterations=30")[0].1.starts_with("use3d run a --iterations=3000"));
         let said = of("use3d demo");
         assert_eq!(said[0].1, "use3d run my-photographs/");
         assert!(said.iter().all(|(_, command)| !command.contains("--iterations")), "{said:?}");
