@@ -205,6 +205,25 @@ fn graph_of(text: &str, sets: &[&str]) -> Result<Graph, String> {
 }
 
 #[test]
+fn what_variants_share_follows_the_evaluation_and_has_no_settings_of_its_own() {
+    let text = "models = { dir = \"m\" }\n[defaults.evaluate]\npath_pairs = 3\n[[variant]]\nname = \"v\"\n\
+                evaluate = { published_clear = \"clamped\" }\n[[variant]]\nname = \"w\"\n\
+                evaluate = { path_pairs = 5 }\n[[variant]]\nname = \"full\"";
+    let graph = graph_of(text, &[]).unwrap();
+    let of = |variant: &str| {
+        let node = graph.find("a", variant, "baseline").expect("a node");
+        graph.nodes[node].parameters.json().clone()
+    };
+    assert_eq!(of("full"), of("v"), "the clear view of a method is none of its parameters");
+    assert_eq!((&of("full")["path_pairs"], &of("w")["path_pairs"]), (&3.into(), &5.into()));
+    let refused = graph_of("models = { dir = \"m\" }", &["baseline.path_pairs=3"]).unwrap_err();
+    assert!(refused.contains("baseline"), "{refused}");
+    let refused = graph_of("models = { dir = \"m\" }\n[defaults.baseline]\npath_pairs = 3", &[]).unwrap_err();
+    assert!(refused.contains("unknown key `baseline`"), "{refused}");
+    assert_eq!(graph_of("", &[]).unwrap().find("a", "", "baseline"), None, "without a models folder");
+}
+
+#[test]
 fn presets_are_the_weakest_layer_and_nothing_but_their_values() {
     let parameters = |graph: &Graph, variant: &str, stage: &str| {
         graph.nodes[graph.find("a", variant, stage).expect("a node")].parameters.json().clone()
