@@ -17,7 +17,7 @@ use use3d_io_image::{JpegError, jpeg_address, shrunk};
 use crate::index::{Index, IndexView};
 use crate::story::Story;
 use crate::tables::{Cell, Column, Rank, Table, marked};
-use crate::verdict::{Sentence, Tone};
+use crate::verdict::Sentence;
 use use3d_judge::names::distinct;
 
 /// Long side of embedded pictures, pixels.
@@ -240,7 +240,6 @@ struct PageTemplate<'a> {
     policy: String,
     verdict: String,
     verdicts: Vec<String>,
-    stories: Vec<String>,
     tables: Vec<TableView>,
     stages: Vec<StageView>,
 }
@@ -390,7 +389,6 @@ impl Page {
             policy: policy(),
             verdict: verdict(&self.verdict)?,
             verdicts: self.scenes.iter().map(|scene| verdict(&scene.verdict)).collect::<Result<_, _>>()?,
-            stories: self.scenes.iter().map(|scene| told(&scene.story)).collect::<Result<_, _>>()?,
             tables: shown.map(TableView::new).collect(),
             stages: self.costs.as_ref().map_or_else(Vec::new, |costs| StageView::all(&costs.stages)),
         };
@@ -404,34 +402,6 @@ struct VerdictTemplate<'a> {
     sentences: Vec<SentenceView<'a>>,
 }
 
-#[derive(Template)]
-#[template(path = "story.html")]
-struct StoryTemplate<'a> {
-    headline: Option<Headline<'a>>,
-    facts: &'a [(&'static str, String)],
-}
-
-struct Headline<'a> {
-    class: &'static str,
-    text: &'a str,
-}
-
-/// The class and the mark of a tone.
-fn looks(tone: Tone) -> (&'static str, &'static str) {
-    match tone {
-        Tone::Good => ("good", "+"),
-        Tone::Bad => ("bad", "–"),
-        Tone::Plain => ("plain", "·"),
-    }
-}
-
-/// A story without what to do next.
-fn told(story: &Story) -> Result<String, askama::Error> {
-    let headline = story.headline.as_ref();
-    let headline = headline.map(|said| Headline { class: looks(said.tone).0, text: &said.text });
-    StoryTemplate { headline, facts: &story.facts }.render()
-}
-
 struct SentenceView<'a> {
     class: &'static str,
     mark: &'static str,
@@ -442,9 +412,8 @@ struct SentenceView<'a> {
 /// Sentences as a list; empty without sentences. Text between backticks is shown as code.
 fn verdict(sentences: &[Sentence]) -> Result<String, askama::Error> {
     let marked = sentences.iter().map(|sentence| {
-        let (class, mark) = looks(sentence.tone);
         let pieces = sentence.text.split('`').enumerate().map(|(k, piece)| (k % 2 == 1, piece));
-        SentenceView { class, mark, pieces: pieces.collect() }
+        SentenceView { class: sentence.tone.class(), mark: sentence.tone.mark(), pieces: pieces.collect() }
     });
     VerdictTemplate { sentences: marked.collect() }.render()
 }
@@ -462,7 +431,6 @@ fn templates() -> String {
         include_str!("../templates/tables.html"),
         include_str!("../templates/costs.html"),
         include_str!("../templates/made-by.html"),
-        include_str!("../templates/story.html"),
         include_str!("../templates/verdict.html"),
     ];
     shortened(&STANDARD.encode(Sha256::digest(templates.concat().as_bytes())))
@@ -478,6 +446,7 @@ mod tests {
     use super::*;
     use crate::index::{FailedStage, ResultRow, SceneBlock};
     use crate::tables::{Better, Row};
+    use crate::verdict::Tone;
 
     #[test]
     fn no_script_runs_but_the_page_s_own() {
@@ -551,6 +520,9 @@ mod tests {
         let parts = parts.map(|(name, text)| (name, text.to_string())).to_vec();
         let mut page = page;
         page.scenes[0].page = "reef/view.html".into();
+        let headline = Some(Sentence { tone: Tone::Bad, text: "a <poor> scene".into() });
+        page.scenes[0].story = Story { headline, facts: vec![("Why?", "<fog>".into())], next: Vec::new() };
+        page.scenes[0].commands = vec![("Look & see".into(), "use3d view 'a <b>'".into())];
         page.settings = vec![VariantSettings { variant: "reef".into(), parts }];
         page.tables[0].rows.push(Row {
             made_by: "preset paper; seed: 42".into(),
@@ -566,6 +538,13 @@ mod tests {
         assert!(whole.contains("<code>0123456789ab</code>") && whole.contains("path_pairs"));
         assert!(!whole.contains("<&>") && whole.contains("by `use3d run &#60;a&#62;`"));
         assert!(whole.contains("12.34") && whole.contains("<sup>a</sup>"));
+        for part in [
+            "<p class=\"headline bad\">a &#60;poor&#62; scene</p>",
+            "<dt>Why?</dt><dd>&#60;fog&#62;</dd>",
+            "<dt>Look &#38; see</dt><dd><code>use3d view &#39;a &#60;b&#62;&#39;</code></dd>",
+        ] {
+            assert!(whole.contains(part), "{part}");
+        }
         assert!(whole.contains("preset paper; seed: 42"), "{whole}");
         let at = |text: &str| whole.find(text).unwrap_or_else(|| panic!("{text}"));
         let line = "reef · settings: preset paper, changed: a = &#60;b&#62;; 5000 + 1000 steps</summary>";

@@ -23,6 +23,26 @@ pub enum Tone {
     Plain,
 }
 
+impl Tone {
+    /// The class of a sentence on a page.
+    pub(crate) fn class(self) -> &'static str {
+        match self {
+            Self::Good => "good",
+            Self::Bad => "bad",
+            Self::Plain => "plain",
+        }
+    }
+
+    /// The mark before it.
+    pub(crate) fn mark(self) -> &'static str {
+        match self {
+            Self::Good => "+",
+            Self::Bad => "–",
+            Self::Plain => "·",
+        }
+    }
+}
+
 /// One sentence.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Sentence {
