@@ -103,20 +103,8 @@ fn golden_stage1_step() {
             depth_weight: case.number("lam_d"),
             ..ReconstructParams::default()
         };
-        let settings = StepPlan {
-            step: 0,
-            moves: Moves::All,
-            water_updates: 0,
-            divisor: 1,
-            degrees: Degrees { colors: degree, water: degree },
-            rates: NO_RATES,
-            weights: losses::weights(&params, 0),
-            depth_gradient: true,
-            network_clip: 0.0,
-            exposure: None,
-            colors: None,
-            gather: None,
-        };
+        let degrees = Degrees { colors: degree, water: degree };
+        let settings = StepPlan { degrees, ..still(losses::weights(&params, 0)) };
         let loss = engine.differentiate(view, &settings).unwrap();
         case.check_planes("out.rgb", engine.rendered().image.data());
         case.check_planes("out.depth", engine.rendered().depth.data());
@@ -199,6 +187,39 @@ fn tiny_capture(views: usize) -> (Capture, Vec<LoadedView>) {
         .collect();
     let split = Split::every(views.len(), 5);
     (Capture { name: "tiny".into(), views, split, points, frame: Frame::IDENTITY }, loaded)
+}
+
+/// Gaussians at the first points of a capture.
+fn few_gaussians(capture: &Capture, count: usize) -> Gaussians {
+    let mut gaussians = Gaussians::empty(0);
+    for (i, point) in capture.points.iter().take(count).enumerate() {
+        gaussians.means.push(point.position.to_array().map(|v| v as f32));
+        gaussians.log_scales.push([-1.8, -2.0, -1.9]);
+        gaussians.quaternions.push([1.0, 0.1, 0.0, 0.2]);
+        gaussians.opacity_logits.push(-0.5 + 0.03 * i as f32);
+        let mut sh = [[0.0; 3]; 16];
+        sh[0] = [0.4, 0.2, -0.1];
+        gaussians.sh.push(sh);
+    }
+    gaussians
+}
+
+/// A step at full size in which nothing moves.
+fn still(weights: Vec<f64>) -> StepPlan {
+    StepPlan {
+        step: 0,
+        moves: Moves::All,
+        water_updates: 0,
+        divisor: 1,
+        degrees: Degrees { colors: 0, water: 0 },
+        rates: NO_RATES,
+        weights,
+        depth_gradient: true,
+        network_clip: 0.0,
+        exposure: None,
+        colors: None,
+        gather: None,
+    }
 }
 
 fn loader(

@@ -14,37 +14,13 @@ fn bright(mut params: ReconstructParams) -> ReconstructParams {
 #[test]
 fn a_field_gets_the_gradient_of_the_loss_and_alone_it_changes_neither_gaussians_nor_water() {
     let (capture, loaded) = tiny_capture(2);
-    let mut gaussians = Gaussians::empty(0);
-    for (i, point) in capture.points.iter().take(40).enumerate() {
-        gaussians.means.push(point.position.to_array().map(|v| v as f32));
-        gaussians.log_scales.push([-1.8, -2.0, -1.9]);
-        gaussians.quaternions.push([1.0, 0.1, 0.0, 0.2]);
-        gaussians.opacity_logits.push(-0.5 + 0.03 * i as f32);
-        let mut sh = [[0.0; 3]; 16];
-        sh[0] = [0.4, 0.2, -0.1];
-        gaussians.sh.push(sh);
-    }
-    let mut state = TrainingState::new(gaussians, MediumModel::Rbf(MediumRbf::new(4, 2)), &[]);
+    let mut state =
+        TrainingState::new(few_gaussians(&capture, 40), MediumModel::Rbf(MediumRbf::new(4, 2)), &[]);
     state.colors = ColorState::new(ColorField::Caustics, 2, 3);
     let params =
         ReconstructParams { depth_weight: 0.0, structure_weight: 0.0, ..ReconstructParams::default() };
-    let plan = |colors| StepPlan {
-        step: 0,
-        moves: Moves::All,
-        water_updates: 0,
-        divisor: 1,
-        degrees: Degrees { colors: 0, water: 0 },
-        rates: NO_RATES,
-        weights: losses::weights(
-            &ReconstructParams { photometric: crate::Photometric::Ssim, ..params.clone() },
-            0,
-        ),
-        depth_gradient: true,
-        network_clip: 0.0,
-        exposure: None,
-        colors,
-        gather: None,
-    };
+    let params = ReconstructParams { photometric: crate::Photometric::Ssim, ..params };
+    let plan = |colors| StepPlan { colors, ..still(losses::weights(&params, 0)) };
     let mut engine = CpuEngine::default();
     for at in 0..2 {
         engine.upload(TrainingView::new(&capture.views[at], loaded[at].clone()).unwrap().0).unwrap();

@@ -67,30 +67,15 @@ fn engine() -> (CpuEngine, TrainingState, StepPlan) {
     let params = params();
     let mut engine = CpuEngine::default();
     engine.upload(TrainingView::new(&capture.views[0], loaded[0].clone()).unwrap().0).unwrap();
-    let mut gaussians = Gaussians::empty(0);
-    for (i, point) in capture.points.iter().take(60).enumerate() {
-        gaussians.means.push(point.position.to_array().map(|v| v as f32));
-        gaussians.log_scales.push([-1.8, -2.0, -1.9]);
-        gaussians.quaternions.push([1.0, 0.1, 0.0, 0.2]);
-        gaussians.opacity_logits.push(0.5 + 0.03 * i as f32);
-        let mut sh = [[0.0; 3]; 16];
-        sh[0] = [1.2, 0.2, -0.1];
-        gaussians.sh.push(sh);
-    }
+    let mut gaussians = few_gaussians(&capture, 60);
+    gaussians.opacity_logits.iter_mut().for_each(|logit| *logit += 1.0);
+    gaussians.sh.iter_mut().for_each(|sh| sh[0] = [1.2, 0.2, -0.1]);
     let water = MediumModel::Seasplat(use3d_medium::MediumSeasplat::default());
     let plan = StepPlan {
         step: 40,
-        moves: Moves::All,
-        water_updates: 0,
-        divisor: 1,
         degrees: Degrees { colors: 0, water: 3 },
         rates: params.rates(&params.phases(false), 40).0,
-        weights: losses::weights(&params, 40),
-        depth_gradient: true,
-        network_clip: 0.0,
-        exposure: None,
-        colors: None,
-        gather: None,
+        ..still(losses::weights(&params, 40))
     };
     (engine, TrainingState::new(gaussians, water, &[]), plan)
 }

@@ -52,33 +52,10 @@ fn a_term_from_outside_reaches_gaussians_and_water_through_everything_it_reads()
         term: || Box::new(Everything),
     };
     let (capture, loaded) = tiny_capture(2);
-    let mut gaussians = Gaussians::empty(0);
-    for (i, point) in capture.points.iter().take(40).enumerate() {
-        gaussians.means.push(point.position.to_array().map(|v| v as f32));
-        gaussians.log_scales.push([-1.8, -2.0, -1.9]);
-        gaussians.quaternions.push([1.0, 0.1, 0.0, 0.2]);
-        gaussians.opacity_logits.push(-0.5 + 0.03 * i as f32);
-        let mut sh = [[0.0; 3]; 16];
-        sh[0] = [0.4, 0.2, -0.1];
-        gaussians.sh.push(sh);
-    }
     let mut water = MediumRbf::new(4, 2);
     water.coefficients.iter_mut().for_each(|a| a[0][0] = [0.5, 0.8, 1.1]);
-    let state = TrainingState::new(gaussians, MediumModel::Rbf(water), &[]);
-    let plan = StepPlan {
-        step: 0,
-        moves: Moves::All,
-        water_updates: 0,
-        divisor: 2,
-        degrees: Degrees { colors: 0, water: 0 },
-        rates: NO_RATES,
-        weights: vec![1.0],
-        depth_gradient: true,
-        network_clip: 0.0,
-        exposure: None,
-        colors: None,
-        gather: None,
-    };
+    let state = TrainingState::new(few_gaussians(&capture, 40), MediumModel::Rbf(water), &[]);
+    let plan = StepPlan { divisor: 2, ..still(vec![1.0]) };
     let engine = |rows: &[LossTerm]| {
         let mut engine = CpuEngine::with_terms(rows);
         let view = &capture.views[0];
