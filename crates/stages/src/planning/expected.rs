@@ -120,14 +120,14 @@ pub(crate) fn of_training(
 }
 
 /// The numbers of a scene's views and pairs that an evaluation looks at.
-struct Looked {
+struct ToJudge {
     views: f64,
     held_out: f64,
     neighbours: f64,
     path: f64,
 }
 
-impl Looked {
+impl ToJudge {
     /// Of `count` views, with at most these pairs of neighbours and of frames.
     fn new(count: f64, neighbours: f64, path: f64) -> Self {
         let (neighbours, held_out) = (neighbours.min(count - 1.0).max(0.0), (count / 8.0).ceil());
@@ -161,7 +161,7 @@ impl Looked {
 /// The networks on photographs, once for all variants.
 pub(crate) fn of_baseline(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
     let Views { count, mega } = Views::of(all, named, inputs)?;
-    let looked = Looked::of(all, count)?;
+    let looked = ToJudge::of(all, count)?;
     let pictures = 2.0 * looked.views + looked.neighbours + looked.path;
     Some(Expected { seconds: mega * looked.on_photographs(), bytes: 1e6 * PICTURE * pictures * mega })
 }
@@ -170,7 +170,7 @@ pub(crate) fn of_baseline(all: &AllParameters, named: &Named, inputs: &[StageInp
 pub(crate) fn of_evaluation(all: &AllParameters, named: &Named, inputs: &[StageInput]) -> Option<Expected> {
     named.path("models")?;
     let Views { count, mega } = Views::of(all, named, inputs)?;
-    let looked = Looked::of(all, count)?;
+    let looked = ToJudge::of(all, count)?;
     Some(Expected { seconds: mega * looked.on_scene(), bytes: 1e6 * PICTURE * looked.held_out * mega })
 }
 
@@ -197,19 +197,20 @@ mod tests {
     /// The hours of docs/science/results.md.
     #[test]
     fn photographs_judged_once_save_most_hours_of_networks() {
-        let hours = |counts: &[f64], mega: f64, of: fn(&Looked) -> f64| {
-            let each = counts.iter().map(|count| mega * of(&Looked::new(*count, 1e4, 8.0)));
+        let hours = |counts: &[f64], mega: f64, of: fn(&ToJudge) -> f64| {
+            let each = counts.iter().map(|count| mega * of(&ToJudge::new(*count, 1e4, 8.0)));
             each.sum::<f64>() / 3600.0
         };
         let (seathru, mega) = ([29.0, 18.0, 20.0, 20.0], 1.4 * 0.933);
-        let photographs = hours(&seathru, mega, Looked::on_photographs);
-        let scene = hours(&seathru, mega, Looked::on_scene);
+        let photographs = hours(&seathru, mega, ToJudge::on_photographs);
+        let scene = hours(&seathru, mega, ToJudge::on_scene);
         let (once, each) = (photographs + 9.0 * scene, 9.0 * (photographs + scene));
         println!(
             "SeaThru-NeRF: {photographs:.1} h, {scene:.1} h for a variant; {once:.1} h, not {each:.1} h"
         );
         assert_eq!(format!("{photographs:.1} {scene:.1} {once:.1} {each:.1}"), "1.0 0.4 4.7 12.8");
-        let druva = [Looked::on_photographs, Looked::on_scene].map(|of| hours(&[120.0; 20], 1.92 * 1.08, of));
+        let druva =
+            [ToJudge::on_photographs, ToJudge::on_scene].map(|of| hours(&[120.0; 20], 1.92 * 1.08, of));
         println!("DRUVA: {:.0} h of photographs, {:.0} h of scenes", druva[0], druva[1]);
         assert_eq!(format!("{:.0} {:.0}", druva[0], druva[0] + druva[1]), "37 51");
     }
