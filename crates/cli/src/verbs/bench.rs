@@ -22,6 +22,7 @@ fn request(args: &BenchTruthArgs) -> Result<TruthRequest, WorkError> {
         size: parse_size(&args.size)?,
         iterations: args.iterations as u64,
         baselines: args.baselines == Baselines::All,
+        methods: args.methods,
         load: LoadOptions {
             sets: args.settings.sets(),
             pairs: args.calibration.pairs(),

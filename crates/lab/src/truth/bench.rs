@@ -42,6 +42,8 @@ pub struct TruthRequest {
     pub iterations: u64,
     /// True if the baselines that need trainings of their own are run.
     pub baselines: bool,
+    /// True if the methods of other authors are trained too.
+    pub methods: bool,
     /// Further settings of the pipeline. The cache is below `out` if none is given.
     pub load: LoadOptions,
     /// True if all inputs are read again.
@@ -87,6 +89,7 @@ impl TruthBench {
             size: request.size,
             iterations: request.iterations,
             baselines: request.baselines,
+            methods: request.methods,
             sets: load.sets.clone(),
             learnt_from: match (&load.pairs, &load.calibrator) {
                 (Some(_), _) => LearntFrom::Pairs,

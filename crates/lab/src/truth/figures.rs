@@ -15,7 +15,7 @@ use use3d_judge::scores::{Finite, Method, SceneScores, Score};
 use use3d_judge::truth::WaterScores;
 
 use super::captures::Capture;
-use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe};
+use super::runs::{DEFAULT, ENHANCE_FIRST, PRIOR_OFF, PSEUDO_LABELS, Recipe, others};
 
 /// The format name in `truth.json`.
 pub const FORMAT: &str = "3d-use bench truth";
@@ -137,22 +137,31 @@ const SIMPLE: [(&str, Method, &str); 5] = [
     (PSEUDO_LABELS, Method::Enhanced, "pseudo-labels"),
 ];
 
-/// The rows that a table may have: first the simple methods, then the looks of the scene itself without its
-/// water or enhanced, once with the paper's start of the water and once with this program's default.
+/// The rows that a table may have: first the simple methods, then the clear views of other authors' methods as
+/// these show them, then the looks of the scene itself without its water or enhanced, once with the paper's start
+/// of the water and once with this program's default.
 fn rows() -> Vec<(&'static str, Method, String)> {
     let shown = |method: &Method| {
         *method != Method::Reconstruction
             && !SIMPLE.iter().any(|(variant, m, _)| m == method && *variant != PSEUDO_LABELS)
     };
     let simple = SIMPLE.iter().map(|(variant, method, label)| (*variant, *method, (*label).to_string()));
+    let theirs = others().map(|method| {
+        // Without water, the picture itself is all that there is to show.
+        let shown = if method == WITHOUT_WATER { Method::Clear } else { Method::PublishedClear };
+        (method, shown, format!("`{method}`"))
+    });
     let ours = [PRIOR_OFF, DEFAULT].into_iter().flat_map(|variant| {
         Method::ALL.into_iter().filter(shown).map(move |method| {
             let with = if variant == PRIOR_OFF { ", `medium_prior = \"off\"`" } else { "" };
             (variant, method, format!("`{}`{with}", method.name()))
         })
     });
-    simple.chain(ours).collect()
+    simple.chain(theirs).chain(ours).collect()
 }
+
+/// The method that knows no water.
+const WITHOUT_WATER: &str = "3dgs";
 
 /// Joins the scores of all seeds into figures.
 fn over_seeds(of: BTreeMap<u64, BTreeMap<String, Score>>) -> Figures {
@@ -207,14 +216,13 @@ pub fn of_capture(capture: &Capture, scored: &[Scored]) -> CaptureFigures {
         let figures = over_seeds(of.collect());
         (!figures.is_empty()).then(|| RowFigures { label, variant: variant.into(), method, figures })
     });
-    let trained = [
-        (ENHANCE_FIRST, "enhance, then reconstruct"),
-        (PRIOR_OFF, "`medium_prior = \"off\"`"),
-        (DEFAULT, "stage 1"),
-    ];
-    let scenes = trained.into_iter().filter_map(|(variant, label)| {
+    let trained = [(ENHANCE_FIRST, "enhance, then reconstruct".to_string())].into_iter();
+    let trained = trained.chain(others().map(|method| (method, format!("`{method}`"))));
+    let trained = trained
+        .chain([(PRIOR_OFF, "`medium_prior = \"off\"`".to_string()), (DEFAULT, "stage 1".to_string())]);
+    let scenes = trained.filter_map(|(variant, label)| {
         let figures = over_seeds(own(variant).map(|s| (s.seed, scene(&s.scores))).collect());
-        (!figures.is_empty()).then(|| SceneFigures { label: label.into(), variant: variant.into(), figures })
+        (!figures.is_empty()).then(|| SceneFigures { label, variant: variant.into(), figures })
     });
     CaptureFigures {
         name: capture.name.into(),

@@ -84,6 +84,7 @@ mod tests {
                 size: (48, 32),
                 iterations: 10,
                 baselines: false,
+                methods: false,
                 sets: vec![],
                 learnt_from: LearntFrom::Nothing,
             },

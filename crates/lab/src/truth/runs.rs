@@ -2,12 +2,13 @@
 //!
 //! There is one pipeline per seed; the seed determines both captures and trainings. The variant [`DEFAULT`]
 //! is this program with its default settings. It comes first, so that its stage 1 supplies the depth by which
-//! all variants are compared. The others are the simple methods and the paper's start of the water; each
-//! needs a training of its own.
+//! all variants are compared. The others are the simple methods, the paper's start of the water, and the methods
+//! that the paper compares with; each needs a training of its own.
 
 use std::fmt::Write;
 
 use super::captures::Capture;
+use use3d_config::METHODS;
 use use3d_pipeline::WorkError;
 
 /// This program with its default settings.
@@ -18,6 +19,14 @@ pub const PRIOR_OFF: &str = "medium-prior-off";
 pub const ENHANCE_FIRST: &str = "enhance-then-reconstruct";
 /// The scene's appearance is fitted to the 2D enhancer's images.
 pub const PSEUDO_LABELS: &str = "pseudo-labels";
+
+/// The method of the variant [`DEFAULT`].
+const OWN: &str = "3d-use";
+
+/// The methods of other authors: the names of their variants.
+pub fn others() -> impl Iterator<Item = &'static str> {
+    METHODS.iter().copied().filter(|method| *method != OWN)
+}
 
 /// The variants that need trainings of their own, and the parameters that they change.
 const BASELINES: [(&str, &str); 3] = [
@@ -50,6 +59,9 @@ pub struct Recipe {
     pub iterations: u64,
     /// True if the baselines that need trainings of their own are run.
     pub baselines: bool,
+    /// True if the methods of other authors are trained too.
+    #[serde(default)]
+    pub methods: bool,
     /// Further settings, in the form of `--set`.
     pub sets: Vec<String>,
     /// The source of the meaning of "enhanced".
@@ -84,7 +96,7 @@ impl Recipe {
     /// The variants, [`DEFAULT`] first.
     pub fn variants(&self) -> Vec<&'static str> {
         let baselines = BASELINES.iter().map(|(name, _)| *name).filter(|_| self.baselines);
-        std::iter::once(DEFAULT).chain(baselines).collect()
+        std::iter::once(DEFAULT).chain(baselines).chain(others().filter(|_| self.methods)).collect()
     }
 
     /// Refuses settings that any other pipeline would accept, but that conflict with the table.
@@ -126,6 +138,9 @@ impl Recipe {
         for (name, change) in BASELINES.iter().filter(|_| self.baselines) {
             let _ = write!(text, "\n[[variant]]\nname = \"{name}\"\n{change}\n");
         }
+        for method in others().filter(|_| self.methods) {
+            let _ = write!(text, "\n[[variant]]\nname = \"{method}\"\nmethod = \"{method}\"\n");
+        }
         text
     }
 
@@ -141,6 +156,9 @@ impl Recipe {
             self.iterations,
             if self.baselines { "all" } else { "simple" }
         );
+        if self.methods {
+            text.push_str(" --methods");
+        }
         self.sets.iter().for_each(|set| {
             let _ = write!(text, " --set {}", word(set));
         });
@@ -167,6 +185,7 @@ mod tests {
             size: (320, 180),
             iterations: 2000,
             baselines,
+            methods: false,
             sets: vec![],
             learnt_from: LearntFrom::Nothing,
         }
@@ -194,6 +213,12 @@ mod tests {
         assert_eq!(own(&recipe(false), "reconstruct"), ["display-I@default", "display-II@default"]);
         assert_eq!(recipe(false).variants(), [DEFAULT]);
         assert_eq!(recipe(true).variants().len(), 1 + BASELINES.len());
+        let methods = Recipe { methods: true, ..recipe(false) };
+        assert_eq!(methods.variants().len(), METHODS.len());
+        let trained = own(&methods, "reconstruct");
+        assert_eq!(trained.len(), 2 * METHODS.len(), "{trained:?}");
+        assert!(own(&methods, "enhance").iter().all(|node| node.ends_with("@default")));
+        assert!(methods.command(&["air"], &[1]).ends_with("--baselines simple --methods"));
     }
 
     #[test]
