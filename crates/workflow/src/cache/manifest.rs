@@ -67,6 +67,9 @@ pub struct Manifest {
     pub finished: String,
     /// Duration in seconds.
     pub seconds: f64,
+    /// Seconds of the processor that its threads used; 0 where unknown.
+    #[serde(default)]
+    pub processor_seconds: f64,
     /// Share of the work that was found in checkpoints.
     #[serde(default)]
     pub resumed: f64,
@@ -88,6 +91,7 @@ pub struct Manifest {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Circumstances {
     pub(crate) seconds: f64,
+    pub(crate) processor_seconds: f64,
     pub(crate) resumed: f64,
     pub(crate) threads: usize,
     pub(crate) peak_memory: u64,
@@ -121,6 +125,7 @@ impl Manifest {
             tool: format!("use3d {}", env!("CARGO_PKG_VERSION")),
             finished: machine::utc(machine::now()),
             seconds: how.seconds,
+            processor_seconds: how.processor_seconds,
             resumed: how.resumed,
             threads: how.threads,
             peak_memory: how.peak_memory,
@@ -153,7 +158,16 @@ impl Manifest {
 
     /// The duration of the stage without checkpoints to start from, in seconds.
     pub fn full_seconds(&self) -> f64 {
-        self.seconds / (1.0 - self.resumed.clamp(0.0, 0.95))
+        self.whole(self.seconds)
+    }
+
+    /// The seconds of the processor without checkpoints to start from; `None` where unknown.
+    pub fn full_processor_seconds(&self) -> Option<f64> {
+        (self.processor_seconds > 0.0).then(|| self.whole(self.processor_seconds))
+    }
+
+    fn whole(&self, seconds: f64) -> f64 {
+        seconds / (1.0 - self.resumed.clamp(0.0, 0.95))
     }
 }
 

@@ -53,7 +53,7 @@ impl Builder {
             notes: None,
             reached: Arc::default(),
         };
-        let ran = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
+        let (ran, _) = in_pool(context.threads, || (stage.run)(&context, &graph.nodes[node].parameters));
         Ok(ran.and_then(|()| Ok(self.cache.seal(&output)?)))
     }
 }

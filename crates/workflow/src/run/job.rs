@@ -7,6 +7,8 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, mpsc};
 use std::time::{Duration, Instant};
 
+use cpu_time::ThreadTime;
+
 use crate::cache::artifacts::{Artifact, Lookup, Published};
 use crate::cache::files;
 use crate::cache::key::Key;
@@ -320,9 +322,10 @@ impl Job<'_> {
         let (node, label, key, threads) = (self.id, self.label.as_str(), self.resolved.key, self.threads);
         self.listener.event(&Event::Started { node, label, key, threads });
         let start = Instant::now();
-        let (ran, peak_memory) = watched(lease, claim, &cache.node.clock, &context.reached, || {
-            in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
-        });
+        let ((ran, processor_seconds), peak_memory) =
+            watched(lease, claim, &cache.node.clock, &context.reached, || {
+                in_pool(self.threads, || (stage.run)(&context, &self.node.parameters))
+            });
         let seconds = start.elapsed().as_secs_f64();
         if let Err(error) = ran {
             log.line(&format!("failed: {error}"));
@@ -354,7 +357,15 @@ impl Job<'_> {
             variant: self.node.variant.clone(),
         };
         let notes = context.take_notes();
-        let how = Circumstances { seconds, resumed, threads: self.threads, peak_memory, made_for, notes };
+        let how = Circumstances {
+            seconds,
+            processor_seconds,
+            resumed,
+            threads: self.threads,
+            peak_memory,
+            made_for,
+            notes,
+        };
         let published = cache.publish(&output, self.resolved.ingredients.clone(), how)?;
         let artifact = match published {
             Published::Now(artifact) | Published::Already(artifact) => artifact,
@@ -440,14 +451,20 @@ fn open_log(path: &std::path::Path) -> Result<Log, FileError> {
 pub(crate) fn in_pool(
     threads: usize,
     work: impl FnOnce() -> Result<(), StageError> + Send,
-) -> Result<(), StageError> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-    catch_unwind(AssertUnwindSafe(|| pool.install(work))).unwrap_or_else(|panic| {
+) -> (Result<(), StageError>, f64) {
+    let pool = match rayon::ThreadPoolBuilder::new().num_threads(threads).build() {
+        Ok(pool) => pool,
+        Err(error) => return (Err(error.into()), 0.0),
+    };
+    let ran = catch_unwind(AssertUnwindSafe(|| pool.install(work))).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<&str>().map(ToString::to_string);
         let text = text.or_else(|| panic.downcast_ref::<String>().cloned());
         let text = text.unwrap_or_else(|| "no message".to_string());
         Err(StageError::message(format!("internal error, please report it: {text}")))
-    })
+    });
+    // The threads are as old as the pool.
+    let each = pool.broadcast(|_| ThreadTime::now().as_duration().as_secs_f64());
+    (ran, each.into_iter().sum())
 }
 
 /// Runs `work` while a second thread renews lease and claim and measures the memory.
