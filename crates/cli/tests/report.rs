@@ -131,6 +131,33 @@ fn every_result_has_a_page_and_only_what_changed_is_written_again() {
 }
 
 #[test]
+fn the_methods_of_other_authors_stand_side_by_side() {
+    let batch = Batch::new();
+    let mut text = "name = \"rivals\"\nseed = 42\n[defaults.reconstruct]\niterations = 20\n".to_string();
+    for method in ["3dgs", "water-splatting", "3d-use"] {
+        text += &format!("[[variant]]\nname = \"{method}\"\nmethod = \"{method}\"\n");
+    }
+    text += "[[scene]]\nname = \"reef\"\ncapture = \"reef\"\n";
+    fs::write(batch.at("many.toml"), text).expect("written");
+    batch.done(&["--set", "variant.3d-use.enhance.iterations=3"], 0);
+
+    let page = batch.read("report.html");
+    assert!(page.contains("href=\"tables/methods-reef.html\""), "a link to the pictures");
+    let table = batch.read("tables/methods.md");
+    assert!(table.contains("3DGS, in this program") && table.contains("| processor seconds↓"), "{table}");
+    let told = "reproduces the kept-back photographs";
+    assert!(table.contains(told) || table.contains("reproduce the kept-back photographs"), "{table}");
+    let pictures = batch.read("tables/methods-reef.html");
+    for label in ["3dgs: without water", "water-splatting: without water", "3d-use: enhanced"] {
+        assert!(pictures.contains(label), "{label}");
+    }
+    assert!(
+        pictures.contains("water-splatting: as photographed, ") && pictures.contains("the truth (simulated)")
+    );
+    assert!(pictures.contains("href=\"../report.html\""));
+}
+
+#[test]
 fn a_failure_has_its_reason_and_its_log_in_the_overview_and_on_its_page() {
     let batch = Batch::new();
     batch.pipeline(2, 0, 0);

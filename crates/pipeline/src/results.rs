@@ -6,6 +6,7 @@
 
 mod advice;
 mod lineage;
+mod methods;
 mod report;
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};

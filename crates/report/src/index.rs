@@ -141,6 +141,8 @@ pub struct SceneBlock {
     pub group: String,
     /// A small picture as a data address; empty if there is none.
     pub thumbnail: String,
+    /// The address of the page with its methods side by side; empty if there is none.
+    pub methods: String,
     /// Its results.
     pub rows: Vec<ResultRow>,
 }

@@ -568,6 +568,7 @@ mod tests {
             name: "<reef>".into(),
             group: "Tiny & small".into(),
             thumbnail: Picture::embed("", "", &Image::filled(48, 32, 0.5)).unwrap().source,
+            methods: String::new(),
             rows: vec![row("full", vec![failed]), row("mlp", Vec::new())],
         };
         let page = Page { index: Some(Index { scenes: vec![block] }), ..Page::default() };

@@ -35,8 +35,8 @@ use crate::engines::{Drawn, EngineChoice};
 use crate::parts::baselines::{Baseline, First, PAIRS, STEPS, frames, mask, neighbours, stored, strip_views};
 use crate::parts::captured::capture;
 use crate::parts::files::{
-    ENHANCED_IN_2D, EVALUATION, SCORES, SPEED, STRIP, TRUE_VIEWS, choice_sources, folder, out_of_range,
-    proposal_of, read_json, write_json,
+    AUTHORS_CLEAR, ENHANCED_IN_2D, EVALUATION, SCORES, SPEED, STRIP, TRUE_VIEWS, choice_sources, folder,
+    out_of_range, proposal_of, read_json, write_json,
 };
 use crate::parts::proposer::{ProposerChoice, open};
 use crate::parts::published_clear::PublishedClear;
@@ -499,6 +499,11 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
         let photograph = photograph.map(|image| (Method::Photograph, image));
         if let Some(proposal) = now.of(Method::Proposal) {
             write_png(&proposal_of(&enhanced_in_2d, view), proposal)?;
+        }
+        if let Some(clear) = now.of(Method::PublishedClear) {
+            let folder_of_views = context.output().join(AUTHORS_CLEAR);
+            folder(&folder_of_views)?;
+            write_png(&proposal_of(&folder_of_views, view), clear)?;
         }
         let mask = &station.mask;
         pixels += share(mask.as_ref()) / views.len() as f64;

@@ -87,7 +87,7 @@ pub struct ResultFolders<'a> {
 }
 
 impl ResultFolders<'_> {
-    fn path(&self, stage: &str) -> Option<&Path> {
+    pub(crate) fn path(&self, stage: &str) -> Option<&Path> {
         self.folders.get(stage).copied()
     }
 }
@@ -134,7 +134,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
 }
 
 /// The scores in a folder.
-fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
+pub(crate) fn read_scores(folder: &Path) -> Result<SceneScores, StageError> {
     let path = folder.join(SCORES);
     let scores = SceneScores::parse(&read(&path)?);
     scores.map_err(|e| StageError::message(format!("{}: {e}", path.display())))
@@ -355,7 +355,7 @@ fn inline(svg: &str) -> String {
 
 /// The look that the report of a scene shows first: the look that viewers open the scene with, or the scene
 /// without its water if it has no enhancement.
-fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
+pub(crate) fn best_look(enhanced: Option<&Path>) -> Result<Mode, StageError> {
     let Some(folder) = enhanced else { return Ok(Mode::Clear) };
     Ok(match Mode::opening(&Scene::load(folder)?) {
         Mode::Reconstruction => Mode::Clear,
@@ -425,10 +425,7 @@ fn views(
 ) -> Result<Vec<ViewSection>, StageError> {
     let Some(renders) = renders else { return Ok(Vec::new()) };
     let captured = renders.join("captured");
-    let stems: Vec<String> = std::fs::read_dir(&captured)
-        .map_err(|e| StageError::io(&captured, e))?
-        .filter_map(|entry| Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned()))
-        .collect();
+    let stems = stems(&captured)?;
     let nearness = |method: Method| {
         let mean = scores.and_then(|scores| scores.mean(method, "truth_psnr")?.value());
         mean.unwrap_or(f64::NEG_INFINITY)
@@ -478,8 +475,22 @@ fn views(
     Ok(sections)
 }
 
+/// The stems of the files of a folder.
+pub(crate) fn stems(folder: &Path) -> Result<Vec<String>, StageError> {
+    let entries = std::fs::read_dir(folder).map_err(|e| StageError::io(folder, e))?;
+    let stem = |entry: std::io::Result<std::fs::DirEntry>| {
+        Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned())
+    };
+    Ok(entries.filter_map(stem).collect())
+}
+
 /// A score of a held-out view.
-fn view_score(stem: &str, scores: Option<&SceneScores>, method: Method, metric: &str) -> Option<f64> {
+pub(crate) fn view_score(
+    stem: &str,
+    scores: Option<&SceneScores>,
+    method: Method,
+    metric: &str,
+) -> Option<f64> {
     let views = &scores?.methods.iter().find(|m| m.method == method)?.views;
     views.iter().find(|v| flat_stem(&v.view) == stem)?.scores.get(metric)?.value()
 }

@@ -15,6 +15,7 @@ use use3d_judge::scores::SceneSpeed;
 use use3d_report::index::{FailedStage, Index, ResultRow, SceneBlock};
 use use3d_report::page::{self, Page, SceneSection, shortened};
 use use3d_report::tables::means::MeanScores;
+use use3d_report::tables::methods::ahead;
 use use3d_report::tables::paper::FailedScene;
 use use3d_report::tables::{self, paper};
 use use3d_report::verdict::{Sentence, Tone};
@@ -28,7 +29,7 @@ use use3d_workflow::{Artifact, Digest, Graph, Summary};
 
 use super::{
     DATA, Delivered, DeliveredCell, OVER_ALL, PAGE, Results, SEALED, STAMPED, TABLES, advice, folder_of,
-    lineage, made_by_program, put, relative, sources_of,
+    lineage, made_by_program, methods, put, relative, sources_of,
 };
 
 /// The most bytes of sections that are kept for results with the same artifacts.
@@ -154,6 +155,9 @@ fn scored(settings: &ReportSettings, own: &DeliveredCell<'_>, made: &Made) -> Op
         variant: own.variant.into(),
         source: format!("{name} {}", shortened(&evaluated.manifest.key.to_string())),
         configuration: made.configuration.clone(),
+        processor_seconds: own
+            .artifact("reconstruct")
+            .and_then(|made| made.manifest.full_processor_seconds()),
         speed: note.and_then(|note| serde_json::from_value::<SceneSpeed>(note).ok()),
         ..made.scores.clone()?
     })
@@ -322,8 +326,10 @@ impl Results {
         let read = at(&file, "read", fs::read(&file))?;
         let parsed = serde_json::from_slice::<BatchReport>(&read).map_err(io::Error::other);
         let head = at(&file, "read", parsed)?;
-        let made = match cells {
-            [own] if settings.single => self.whole_page(settings, own, views, (&head, command))?,
+        let (made, all) = match cells {
+            [own] if settings.single => {
+                (self.whole_page(settings, own, views, (&head, command))?, Vec::new())
+            }
             _ => self.overview(settings, (summary, cells), views, command),
         };
         let made = Page { title: head.title, calibrator: head.calibrator, made_with: head.made_with, ..made };
@@ -333,6 +339,18 @@ impl Results {
             // Drawing speeds do not follow from a key, so the tables are written with every new page.
             put(None, &tables, |folder| {
                 at(folder, "write", tables::write(folder, &made.tables))?;
+                for scene in methods::scenes(&all) {
+                    let page = Page {
+                        made_with: made.made_with.clone(),
+                        ..at(folder, "write", methods::page(scene, &all, cells))?
+                    };
+                    let file = folder.join(methods::file(scene));
+                    at(
+                        &file,
+                        "write",
+                        fs::write(&file, at(&file, "write", page.html().map_err(io::Error::other))?),
+                    )?;
+                }
                 place::record(folder, None)
             })?;
         }
@@ -361,7 +379,7 @@ impl Results {
         (summary, cells): (&Summary, &[DeliveredCell<'_>]),
         views: &[Delivered],
         command: &str,
-    ) -> Page {
+    ) -> (Page, Vec<MeanScores>) {
         let views: HashMap<(&str, &str), &Delivered> =
             views.iter().map(|view| ((view.scene.as_str(), view.variant.as_str()), view)).collect();
         let (mut index, mut all) = (Index::default(), Vec::new());
@@ -404,14 +422,21 @@ impl Results {
                 block.rows.push(row);
             }
         }
-        Page {
+        let compared = methods::scenes(&all);
+        for block in &mut index.scenes {
+            if compared.contains(&block.name.as_str()) {
+                block.methods = format!("{TABLES}/{}", methods::file(&block.name));
+            }
+        }
+        let page = Page {
             subtitle: index.head(),
-            verdict: index.verdict(),
+            verdict: ahead(&all).into_iter().chain(index.verdict()).collect(),
             settings: lineage::settings(configurations.iter().map(|(variant, made)| (*variant, &**made))),
             tables: paper::tables(&all, &scored.without(settings)),
             index: Some(index),
             costs: Some(lineage::costs_by_stage(&summary.nodes, &settings.pipeline, command)),
             ..Page::default()
-        }
+        };
+        (page, all)
     }
 }

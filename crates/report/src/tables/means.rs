@@ -56,6 +56,12 @@ pub struct MeanScores {
     pub size: (usize, usize),
     /// Share of the held-out views' pixels that the scores count, 0 to 1.
     pub pixels: f64,
+    /// Number of its Gaussians.
+    #[serde(default)]
+    pub gaussians: usize,
+    /// Seconds of the processor that stage 1 took, if they are known.
+    #[serde(default)]
+    pub processor_seconds: Option<f64>,
     /// The source of the depth for comparing neighbouring views.
     pub warp: Warp,
     /// The look that the enhancement was learnt in.
@@ -174,6 +180,8 @@ impl MeanScores {
             held_out_views: scores.held_out_views,
             size: scores.size,
             pixels: scores.pixels,
+            gaussians: scores.gaussians,
+            processor_seconds: None,
             warp: scores.warp,
             result: scores.result,
             water: scores.water,

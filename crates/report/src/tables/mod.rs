@@ -7,6 +7,7 @@
 mod batch;
 mod format;
 pub mod means;
+pub mod methods;
 pub mod paper;
 pub mod published;
 mod truth;

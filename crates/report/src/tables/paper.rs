@@ -92,6 +92,9 @@ pub fn tables(scenes: &[MeanScores], failed: &[FailedScene]) -> Vec<Table> {
         // These tables would repeat the others.
         tables.retain(|t| !t.name.ends_with("-scenes"));
     }
+    if let Some(methods) = batch.methods() {
+        tables.insert(0, methods);
+    }
     tables.extend(batch.truth());
     tables.extend(batch.recovered());
     if batch.variants.len() > 1 {

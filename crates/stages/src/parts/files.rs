@@ -26,6 +26,8 @@ pub(crate) const STRIP: (&str, &str) = ("strip.png", "strip.json");
 pub(crate) const ENHANCED_IN_2D: &str = "proposal";
 /// The folder in `evaluate` with held-out views without water, for captures that come with their truth.
 pub(crate) const TRUE_VIEWS: &str = "truth";
+/// The folder of held-out views without water as the authors of a method show them.
+pub(crate) const AUTHORS_CLEAR: &str = "published-clear";
 /// The note of `evaluate` with the speed of drawing the scene.
 pub const SPEED: &str = "speed";
 /// In `report`: the page and the scores, as data.
