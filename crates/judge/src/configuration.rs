@@ -52,9 +52,11 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// True if everything is the paper's, so that published numbers may be shown next to these.
+    /// True if everything is the paper's, or another method's with its authors' settings on the paper's split, so
+    /// that published numbers may be shown next to these.
     pub fn is_the_papers(&self) -> bool {
-        self.preset == PAPER && self.changed.is_empty() && self.data_of_the_paper
+        let authors = COMPARED.iter().any(|(preset, _)| *preset == self.preset);
+        (self.preset == PAPER || authors) && self.changed.is_empty() && self.data_of_the_paper
     }
 
     /// The method that was trained, if it is one that 3D-USE is compared with.
@@ -125,6 +127,8 @@ mod tests {
             ..Configuration::default()
         };
         assert!(paper.is_the_papers());
+        let other = Configuration { preset: "water-splatting".into(), ..paper.clone() };
+        assert!(other.is_the_papers());
         let of = |views: &str| Configuration { views: views.into(), ..paper.clone() };
         let scenes = ["17 + 3", "21 + 3"].map(of);
         let told = Configuration::told(&scenes.iter().collect::<Vec<_>>());

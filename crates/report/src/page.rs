@@ -115,6 +115,8 @@ pub struct SceneSection {
     pub verdict: Vec<Sentence>,
     /// Further lines: skipped steps, results that are not available.
     pub notes: Vec<String>,
+    /// True if the views show several methods, each with its place as its heading.
+    pub compared: bool,
     /// Held-out views.
     pub views: Vec<ViewSection>,
     /// Plots.

@@ -16,6 +16,8 @@ use crate::report::{ResultFolders, best_look, read_scores, stems, view_score};
 pub struct Side<'a> {
     /// The name of the method.
     pub name: &'a str,
+    /// What its scene took, in words: steps, Gaussians, processor seconds.
+    pub cost: String,
     /// True for the method of this program.
     pub own: bool,
     /// Its artifacts.
@@ -48,10 +50,11 @@ impl Scored<'_> {
     /// The view without water, as the authors of the method show it or else as this program does.
     fn clear(&self, stem: &str) -> Result<Option<Picture>, StageError> {
         let label = "without water";
-        Ok(match self.picture(("evaluate", AUTHORS_CLEAR), stem, label)? {
+        let shown = match self.picture(("evaluate", AUTHORS_CLEAR), stem, label)? {
             None => self.picture(("render", Mode::Clear.name()), stem, label)?,
             shown => shown,
-        })
+        };
+        Ok(shown.map(|picture| Picture { caption: self.side.cost.clone(), ..picture }))
     }
 }
 
@@ -71,9 +74,9 @@ fn chosen(scored: &[Scored<'_>], stems: &[String]) -> Vec<(String, &'static str)
     let mut order: Vec<(&String, f64)> = leads.into_iter().collect();
     order.sort_by(|a, b| a.1.total_cmp(&b.1));
     let wanted = [
-        (order.get(order.len() / 2), "the middle one of all kept-back photographs, by who is ahead"),
-        (order.last().filter(|(_, by)| *by > 0.0), "here another method is furthest ahead"),
-        (order.first().filter(|(_, by)| *by < 0.0), "here the method of this program is furthest ahead"),
+        (order.get(order.len() / 2), "The middle one of the kept-back photographs, by who is ahead"),
+        (order.last().filter(|(_, by)| *by > 0.0), "Here another method is furthest ahead"),
+        (order.first().filter(|(_, by)| *by < 0.0), "Here the method of this program is furthest ahead"),
     ];
     let mut out: Vec<(String, &str)> = Vec::new();
     for (view, reason) in wanted {

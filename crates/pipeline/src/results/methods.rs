@@ -8,7 +8,7 @@ use use3d_capture::flat_stem;
 use use3d_judge::configuration::Configuration;
 use use3d_report::page::{Page, SceneSection};
 use use3d_report::tables::means::MeanScores;
-use use3d_report::tables::methods::{NAME, ahead};
+use use3d_report::tables::methods::{NAME, ahead, steps};
 use use3d_report::tables::paper;
 use use3d_stages::report::ResultFolders;
 use use3d_stages::side_by_side::{Side, side_by_side};
@@ -29,6 +29,17 @@ pub(super) fn scenes(all: &[MeanScores]) -> Vec<&str> {
     each.into_iter().filter(|(_, own)| ahead(own.iter().copied()).is_some()).map(|(scene, _)| scene).collect()
 }
 
+/// The steps, the size and the cost of a method's stage 1 in words.
+fn cost(scores: &MeanScores) -> String {
+    let steps = scores.configuration.as_deref().and_then(steps);
+    let words = [
+        steps.map(|steps| format!("{steps:.0} steps")),
+        Some(format!("{} Gaussians", scores.gaussians)),
+        scores.processor_seconds.map(|seconds| format!("{seconds:.0} processor seconds")),
+    ];
+    words.into_iter().flatten().collect::<Vec<_>>().join(", ")
+}
+
 /// The page of a scene.
 pub(super) fn page(scene: &str, all: &[MeanScores], cells: &[DeliveredCell<'_>]) -> io::Result<Page> {
     let scores: Vec<MeanScores> = all.iter().filter(|scores| scores.scene == scene).cloned().collect();
@@ -41,6 +52,7 @@ pub(super) fn page(scene: &str, all: &[MeanScores], cells: &[DeliveredCell<'_>])
         let other = made.get(own.variant).and_then(|made| made.compared_method());
         Side {
             name: own.variant,
+            cost: scores.iter().find(|s| s.variant == own.variant).map(cost).unwrap_or_default(),
             own: other.is_none(),
             folders: ResultFolders { scene, group: "", variant: own.variant, folders: folders.collect() },
         }
@@ -57,7 +69,7 @@ pub(super) fn page(scene: &str, all: &[MeanScores], cells: &[DeliveredCell<'_>])
         verdict: ahead(&scores).into_iter().collect(),
         settings: lineage::settings(made.iter().map(|(variant, made)| (*variant, *made))),
         tables: paper::tables(&scores, &[]),
-        scenes: vec![SceneSection { name: scene.into(), views, ..SceneSection::default() }],
+        scenes: vec![SceneSection { name: scene.into(), compared: true, views, ..SceneSection::default() }],
         ..Page::default()
     })
 }

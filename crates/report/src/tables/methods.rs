@@ -30,8 +30,8 @@ fn psnr(scene: &MeanScores) -> Option<f64> {
     scene.mean(Method::Reconstruction, "psnr")?.value()
 }
 
-/// The steps of stage 1.
-fn steps(made: &Configuration) -> Option<f64> {
+/// The steps of stage 1, if they are known.
+pub fn steps(made: &Configuration) -> Option<f64> {
     made.steps.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
 }
 
@@ -58,8 +58,7 @@ pub fn ahead<'s>(scenes: impl IntoIterator<Item = &'s MeanScores>) -> Option<Sen
     let told = compared.iter().map(|(by, method, scene)| format!("{method} on {scene} by {by:.2} dB"));
     let told = told.collect::<Vec<_>>().join(", ");
     Some(if told.is_empty() {
-        let text =
-            "No other method reproduces the kept-back photographs of a scene better than this program's.";
+        let text = "No other method reproduces the kept-back photographs of a scene better than this program's (PSNR).";
         Sentence { tone: Tone::Good, text: text.into() }
     } else {
         let text = format!("Other methods reproduce the kept-back photographs better: {told} (PSNR).");
