@@ -222,6 +222,13 @@ class Documented(unittest.TestCase):
         self.assertTrue((depth >= 0).all() and depth.max() > 0 and len(x) and coefficients.ndim == 4)
         table = values["results.table()"]
         self.assertEqual({type(value) for row in table for key, value in row.items() if key == "psnr"}, {float})
+        try:
+            import pandas
+        except ImportError:
+            pandas = None
+        if pandas:
+            frame = pandas.DataFrame(table)
+            self.assertEqual({str(frame[name].dtype) for name in ("psnr", "ssim", "w_delta_e")}, {"float64"})
         self.assertIn("<a href=", values["scene.show()"]._repr_html_())
         self.assertLess(len(values["scene.show()"].page), 400_000)
 
