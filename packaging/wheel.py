@@ -6,7 +6,8 @@
 THIRDPARTY.txt holds the notices of others; `packaging/licences.py` writes it for the binary's target and
 features. The wheel of a static Linux binary (the default tags) installs on every Linux with that processor.
 For any other binary name its platform, e.g. `--platform linux_x86_64` for this machine, `macosx_11_0_arm64`,
-`win_amd64`. The same inputs give the same bytes. Only the standard library is needed.
+`win_amd64`. The same inputs give the same bytes. Only the standard library is needed. `pip install
+packaging/python` uses this file for a wheel of the module alone.
 """
 
 import argparse
@@ -18,7 +19,11 @@ import zipfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-STATIC = "manylinux_2_5_x86_64.manylinux1_x86_64.musllinux_1_1_x86_64"
+# Tags of static programs, by the number of the processor in an ELF file.
+STATIC = {
+    62: "manylinux_2_5_x86_64.manylinux1_x86_64.musllinux_1_1_x86_64",
+    183: "manylinux_2_17_aarch64.manylinux2014_aarch64.musllinux_1_1_aarch64",
+}
 
 
 def version():
@@ -31,30 +36,34 @@ def repository():
     return re.search(r'repository = "([^"]+)"', text).group(1)
 
 
-def is_static(binary):
-    """True if an ELF file names no interpreter, so that it needs no C library of the system."""
+def static_platform(binary):
+    """The tags of a static Linux program (an ELF file that names no interpreter, so that it needs no C library of
+    the system); `None` for any other file.
+    """
     data = binary.read_bytes()
     if data[:5] != b"\x7fELF\x02":
-        return False
+        return None
     offset = int.from_bytes(data[32:40], "little")
     size, count = int.from_bytes(data[54:56], "little"), int.from_bytes(data[56:58], "little")
     kinds = [int.from_bytes(data[offset + i * size :][:4], "little") for i in range(count)]
-    return 3 not in kinds
+    return None if 3 in kinds else STATIC.get(int.from_bytes(data[18:20], "little"))
 
 
-def wheel(binary, licences, out, platform):
+def wheel(out, binary=None, licences=None, platform="any"):
+    """Writes a wheel into the folder `out`; without a program it holds the module alone."""
     number = version()
     name = f"use3d-{number}"
     tags = [f"py3-none-{tag}" for tag in platform.split(".")]
-    program = "use3d.exe" if binary.suffix == ".exe" else "use3d"
     readme = (HERE / "python" / "README.md").read_text(encoding="utf-8")
+    texts = ["LICENSE-MIT", "LICENSE-APACHE"] + (["THIRDPARTY.txt"] if licences else [])
     metadata = (
         f"Metadata-Version: 2.1\nName: use3d\nVersion: {number}\n"
         "Summary: Underwater 3D scenes that look clear, from any viewpoint, reproducibly\n"
-        "License: MIT OR Apache-2.0\nLicense-File: LICENSE-MIT\nLicense-File: LICENSE-APACHE\nLicense-File: THIRDPARTY.txt\n"
+        f"License: MIT OR Apache-2.0\n{''.join(f'License-File: {text}' + chr(10) for text in texts)}"
         f"Author: the 3D-USE authors\nProject-URL: Source, {repository()}\n"
         "Classifier: Programming Language :: Rust\nClassifier: Topic :: Scientific/Engineering :: Image Processing\n"
-        "Classifier: Typing :: Typed\nRequires-Python: >=3.9\nRequires-Dist: numpy\n"
+        "Classifier: Typing :: Typed\nRequires-Python: >=3.9\n"
+        "Provides-Extra: arrays\nRequires-Dist: numpy; extra == \"arrays\"\n"
         f"Description-Content-Type: text/markdown\n\n{readme}"
     )
     tags_text = "".join(f"Tag: {tag}\n" for tag in tags)
@@ -62,13 +71,14 @@ def wheel(binary, licences, out, platform):
     for path in sorted((HERE / "python" / "use3d").glob("*")):
         if path.suffix == ".py" or path.name == "py.typed":
             files[f"use3d/{path.name}"] = path.read_bytes()
-    files[f"{name}.data/scripts/{program}"] = binary.read_bytes()
-    for licence in ("LICENSE-MIT", "LICENSE-APACHE"):
-        files[f"{name}.dist-info/{licence}"] = (HERE.parent / licence).read_bytes()
-    files[f"{name}.dist-info/THIRDPARTY.txt"] = licences.read_bytes()
+    if binary:
+        files[f"{name}.data/scripts/use3d{'.exe' if binary.suffix == '.exe' else ''}"] = binary.read_bytes()
+    for text in texts:
+        path = licences if text == "THIRDPARTY.txt" else HERE.parent / text
+        files[f"{name}.dist-info/{text}"] = path.read_bytes()
     files[f"{name}.dist-info/METADATA"] = metadata.encode()
     files[f"{name}.dist-info/WHEEL"] = (
-        f"Wheel-Version: 1.0\nGenerator: packaging/wheel.py\nRoot-Is-Purelib: false\n{tags_text}".encode()
+        f"Wheel-Version: 1.0\nGenerator: packaging/wheel.py\nRoot-Is-Purelib: {str(binary is None).lower()}\n{tags_text}".encode()
     )
     record = f"{name}.dist-info/RECORD"
     lines = []
@@ -99,9 +109,10 @@ def main():
         sys.exit(f"{words.binary}: there is no such program; build it first")
     if not words.licences.is_file():
         sys.exit(f"{words.licences}: there are no such notices; write them with packaging/licences.py first")
-    if words.platform is None and not is_static(words.binary):
+    platform = words.platform or static_platform(words.binary)
+    if platform is None:
         sys.exit(f"{words.binary}: not a static Linux binary; say with --platform where it runs")
-    print(wheel(words.binary, words.licences, words.out, words.platform or STATIC))
+    print(wheel(words.out, words.binary, words.licences, platform))
 
 
 if __name__ == "__main__":

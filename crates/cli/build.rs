@@ -49,7 +49,7 @@ fn main() {
     println!("cargo:rustc-env=USE3D_COMMIT={commit}");
     println!("cargo:rustc-env=USE3D_TARGET={}", env::var("TARGET").unwrap_or_default());
     let has = |feature: &str| env::var_os(format!("CARGO_FEATURE_{}", feature.to_uppercase())).is_some();
-    let features: Vec<&str> = ["gpu", "nets", "s3"].into_iter().filter(|feature| has(feature)).collect();
+    let features: Vec<&str> = ["gpu", "s3"].into_iter().filter(|feature| has(feature)).collect();
     let features = if features.is_empty() { "none".to_string() } else { features.join(", ") };
     println!("cargo:rustc-env=USE3D_FEATURES={features}");
     let engines = if has("gpu") { "cpu, gpu" } else { "cpu" };

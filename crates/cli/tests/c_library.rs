@@ -53,7 +53,7 @@ fn is_open(name: &str) -> bool {
 fn no_elementary_function_is_imported() {
     if cfg!(feature = "gpu") {
         eprintln!(
-            "skipped: has engines for graphics cards; `cargo test -p use3d --no-default-features --features nets --test c_library`"
+            "skipped: has engines for graphics cards; `cargo test -p use3d --no-default-features --test c_library`"
         );
         return;
     }

@@ -57,7 +57,7 @@ class WithProgram(unittest.TestCase):
         program = self.folder / "use3d"
         program.write_text(f"#!{sys.executable}\n{textwrap.dedent(PROGRAM)}")
         program.chmod(0o755)
-        named = mock.patch.dict(os.environ, {"USE3D_COMMAND": str(program)})
+        named = mock.patch.dict(os.environ, {"USE3D_PROGRAM": str(program)})
         named.start()
         self.addCleanup(named.stop)
 
@@ -71,7 +71,7 @@ class Command(WithProgram):
 
     def test_options_of_a_shown_scene_may_be_flags(self):
         (self.folder / "scene.json").write_text('{"format": "3d-use scene"}')
-        page = json.loads(use3d.Scene(self.folder).show(force=True, cameras="reef", views=None, metres_per_unit=2).page)
+        page = json.loads(use3d.Scene(self.folder)._page(dict(force=True, cameras="reef", views=None, metres_per_unit=2)))
         self.assertEqual(page[4:], ["--force", "--cameras", "reef", "--metres-per-unit", "2"])
 
     def test_a_failure_tells_the_last_lines_and_passes_all_of_them_on(self):

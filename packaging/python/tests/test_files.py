@@ -1,6 +1,6 @@
 """The module's own tests: python3 -m unittest discover packaging/python/tests (needs NumPy).
 
-With USE3D_COMMAND set to a `use3d`, the whole pipeline runs on a tiny capture, and its output is read.
+With USE3D_PROGRAM set to a `use3d`, the whole pipeline runs on a tiny capture, and its output is read.
 """
 
 import json
@@ -139,19 +139,22 @@ class Files(unittest.TestCase):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 path.write_bytes(b"")
             (Path(folder) / "tables").mkdir()
-            (Path(folder) / "tables" / "water.csv").write_bytes(b'scene,psnr\r\n"reef, north",28.5\r\n')
+            (Path(folder) / "tables" / "water.csv").write_bytes(b'scene,psnr,published,lpips\r\n"reef, north",28.5,false,\r\n')
             pictures = results.pictures("reef")
             self.assertEqual({mode: list(views) for mode, views in pictures.items()}, {"clear": ["a", "b"], "depth": ["a"]})
             self.assertTrue(pictures["clear"]["a"].is_file())
             self.assertEqual(results.tables, ["water"])
-            self.assertEqual(results.table("water"), [{"scene": "reef, north", "psnr": "28.5"}])
+            (row,) = results.table("water")
+            self.assertTrue(np.isnan(row.pop("lpips")))
+            self.assertEqual(row, {"scene": "reef, north", "psnr": 28.5, "published": False})
             with self.assertRaisesRegex(KeyError, "there are: water"):
                 results.table("air")
             with self.assertRaisesRegex(KeyError, "there are: reef"):
                 results.pictures("wreck")
 
     def test_the_module_names_its_version_and_has_types(self):
-        self.assertTrue(use3d.__version__)
+        source = (Path(use3d.__file__).parents[3] / "Cargo.toml").read_text(encoding="utf-8")
+        self.assertIn(f'\nversion = "{use3d.__version__}"\n', source)
         self.assertTrue((Path(use3d.__file__).parent / "py.typed").is_file())
 
     def test_a_description_that_is_none_is_said_with_its_field(self):
@@ -184,7 +187,7 @@ class Files(unittest.TestCase):
         self.assertEqual(use3d.Scene(path.parent).enhancement, {})
 
 
-@unittest.skipUnless(os.environ.get("USE3D_COMMAND"), "SKIPPED: set USE3D_COMMAND to a `use3d` to test with it")
+@unittest.skipUnless(os.environ.get("USE3D_PROGRAM"), "SKIPPED: set USE3D_PROGRAM to a `use3d` to test with it")
 class Command(unittest.TestCase):
     def test_a_capture_goes_through_and_is_read_back(self):
         with tempfile.TemporaryDirectory() as folder:
@@ -204,7 +207,7 @@ class Command(unittest.TestCase):
             self.assertTrue({"clear", "depth"} <= set(pictures), sorted(pictures))
             self.assertTrue(all(path.is_file() for views in pictures.values() for path in views.values()))
             self.assertTrue(results.tables and all(results.table(name) for name in results.tables), results.tables)
-            self.assertIn("<iframe srcdoc=", scene.show(force=True, metres_per_unit=2.5, cameras=None)._repr_html_())
+            self.assertIn("<iframe srcdoc=", scene.show(embed=True, force=True, metres_per_unit=2.5)._repr_html_())
             plan = use3d.run("plan", folder / "reef", "--cache", folder / "cache", "--json", *words)
             self.assertTrue(all(node["state"] == "cached" for node in plan["nodes"]))
             with self.assertRaises(use3d.CommandFailed) as caught:

@@ -3,9 +3,12 @@
 import base64
 import hashlib
 import importlib.util
+import os
 import stat
+import subprocess
 import tempfile
 import unittest
+import venv
 import zipfile
 from pathlib import Path
 
@@ -16,9 +19,10 @@ spec.loader.exec_module(wheel)
 
 
 def elf(*kinds):
-    """The head of a program with program headers of these kinds; kind 3 names an interpreter."""
+    """The head of a program for aarch64 with program headers of these kinds; kind 3 names an interpreter."""
     head = bytearray(64)
     head[:5] = b"\x7fELF\x02"
+    head[18:20] = (183).to_bytes(2, "little")
     head[32:40] = (64).to_bytes(8, "little")
     head[54:56], head[56:58] = (56).to_bytes(2, "little"), len(kinds).to_bytes(2, "little")
     return bytes(head) + b"".join(kind.to_bytes(4, "little") + bytes(52) for kind in kinds)
@@ -35,7 +39,7 @@ class Wheel(unittest.TestCase):
         self.binary.write_bytes(b"a program")
         notices = self.folder / "THIRDPARTY.txt"
         notices.write_bytes(b"notices of others")
-        made = wheel.wheel(self.binary, notices, self.folder / "dist", "linux_x86_64")
+        made = wheel.wheel(self.folder / "dist", self.binary, notices, "linux_x86_64")
         self.assertEqual(made.name, f"use3d-{wheel.version()}-py3-none-linux_x86_64.whl")
         with zipfile.ZipFile(made) as archive:
             names = {entry.filename: entry for entry in archive.infolist()}
@@ -59,13 +63,35 @@ class Wheel(unittest.TestCase):
                     data = archive.read(path)
                     found = base64.urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode()
                     self.assertEqual((digest, size), (f"sha256={found}", str(len(data))), path)
-        again = wheel.wheel(self.binary, notices, self.folder / "again", "linux_x86_64")
+        again = wheel.wheel(self.folder / "again", self.binary, notices, "linux_x86_64")
         self.assertEqual(made.read_bytes(), again.read_bytes())
 
     def test_only_what_needs_nothing_of_the_system_counts_as_static(self):
-        for data, static in [(elf(1, 2), True), (elf(1, 3), False), (b"#!/bin/sh\n", False), (b"", False)]:
+        for data, tags in [(elf(1, 2), wheel.STATIC[183]), (elf(1, 3), None), (b"#!/bin/sh\n", None), (b"", None)]:
             self.binary.write_bytes(data)
-            self.assertEqual(wheel.is_static(self.binary), static, data[:5])
+            self.assertEqual(wheel.static_platform(self.binary), tags, data[:5])
+
+    def test_pip_installs_the_module_from_the_source_into_a_bare_environment_without_a_network(self):
+        place = self.folder / "venv"
+        try:
+            venv.create(place, with_pip=True)
+        except (ImportError, subprocess.CalledProcessError):
+            self.skipTest("this Python makes no environments with pip")
+        python = place / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+        def say(*words):
+            done = subprocess.run([python, *words], cwd=self.folder, capture_output=True, encoding="utf-8")
+            self.assertEqual(done.returncode, 0, done.stderr)
+            return done.stdout
+
+        say("-m", "pip", "install", "--no-index", "--disable-pip-version-check", PACKAGING / "python")
+        said = say("-c", "import use3d; print(use3d.__version__, use3d.Results('.').table(), use3d.__file__)")
+        self.assertTrue(said.startswith(f"{wheel.version()} [] {place}"), said)
+        # Arrays need NumPy, and the message says so.
+        head = "ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nend_header\n"
+        (self.folder / "none.ply").write_text(head, newline="\n")
+        said = say("-c", "import use3d\ntry: use3d.read_ply('none.ply')\nexcept ImportError as e: print(e)")
+        self.assertIn("pip install numpy", said)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,14 @@ from __future__ import annotations
 import collections
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import sysconfig
 import threading
+from pathlib import Path
 from typing import Any, Union
 
 # A word of a command line.
@@ -37,9 +39,12 @@ class CommandFailed(RuntimeError):
 
 
 def version() -> str:
-    """The installed package's version; `unknown` if the module is used without an installation."""
+    """The version of the source that the module lies in, or of the installed package."""
     from importlib import metadata
 
+    source = Path(__file__).resolve().parents[3] / "Cargo.toml"
+    if source.is_file() and source.parent.joinpath("packaging", "python").is_dir():
+        return re.search(r'\[workspace\.package\]\nversion = "([^"]+)"', source.read_text(encoding="utf-8"))[1]
     try:
         return metadata.version("use3d")
     except metadata.PackageNotFoundError:
@@ -47,9 +52,10 @@ def version() -> str:
 
 
 def command() -> str:
-    """The path of the `use3d` program: `USE3D_COMMAND`, the one beside this Python, or the one on the path.
+    """The path of the `use3d` program: `USE3D_PROGRAM`, the one beside this Python, the one on the path, or the
+    one that `cargo install` made.
     """
-    named = os.environ.get("USE3D_COMMAND")
+    named = os.environ.get("USE3D_PROGRAM")
     if named:
         return named
     name = "use3d.exe" if sys.platform == "win32" else "use3d"
@@ -61,10 +67,12 @@ def command() -> str:
         path = os.path.join(folder, name)
         if os.path.isfile(path):
             return path
-    found = shutil.which("use3d")
+    cargo = os.path.join(os.environ.get("CARGO_HOME") or os.path.expanduser("~/.cargo"), "bin")
+    found = shutil.which("use3d") or shutil.which("use3d", path=cargo)
     if found is None:
         raise FileNotFoundError(
-            "no `use3d` program beside this Python or on PATH: install its wheel, put it on PATH, or set USE3D_COMMAND to its path"
+            "no `use3d` program beside this Python, on PATH or in ~/.cargo/bin: install it (docs/guide/install.md), "
+            "or set USE3D_PROGRAM to its path"
         )
     return found
 

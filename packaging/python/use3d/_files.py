@@ -6,7 +6,17 @@ import json
 import math
 import os
 
-import numpy as np
+try:
+    import numpy as np
+except ImportError:
+
+    class _Missing:
+        """Stands where NumPy would be. Runs, tables and paths need no arrays."""
+
+        def __getattr__(self, name):
+            raise ImportError("arrays and pictures need NumPy: pip install numpy")
+
+    np = _Missing()
 
 
 class FormatError(ValueError):
