@@ -571,7 +571,7 @@ impl Rules {
             self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());
         } else if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
-            self.note("masks", text, "paint them black in masks/ (docs/reference/captures.md)");
+            self.note("masks", text, "paint them black in masks/ (docs/guide/pictures.md)");
         }
     }
 }
