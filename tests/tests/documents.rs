@@ -4,8 +4,17 @@
 use std::path::{Component, Path, PathBuf};
 
 /// Folders with documents, below the workspace.
-const FOLDERS: &[&str] =
-    &["", "docs", "docs/guide", "docs/science", "packaging/python", "fuzz", "tests/golden", "tests/museum"];
+const FOLDERS: &[&str] = &[
+    "",
+    "docs",
+    "docs/guide",
+    "docs/reference",
+    "docs/science",
+    "packaging/python",
+    "fuzz",
+    "tests/golden",
+    "tests/museum",
+];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace")
@@ -117,9 +126,9 @@ fn every_link_leads_to_a_file_and_every_anchor_to_a_heading() {
     assert!(count > 50, "only {count} links were found");
 }
 
-/// The pages of the guide and of the science shelf.
+/// The pages of the three shelves.
 fn pages() -> Vec<PathBuf> {
-    let shelves = ["docs/guide", "docs/science"];
+    let shelves = ["docs/guide", "docs/reference", "docs/science"];
     documents().into_iter().filter(|d| shelves.iter().any(|shelf| d.starts_with(shelf))).collect()
 }
 

@@ -1,5 +1,6 @@
-//! Tests of the language of the README and the guide: short sentences, one thought each, for readers who
-//! learnt English at school. CONTRIBUTING.md has the rules; this file checks those that can be counted.
+//! Tests of the language of the README, the guide and the reference: short sentences, one thought each, for
+//! readers who learnt English at school. CONTRIBUTING.md has the rules; this file checks those that can be
+//! counted.
 //!
 //! A sentence has at most 30 words and two numbers with decimals. There are no brackets inside brackets. A
 //! heading, a bold lead or a sentence does not begin with What, Who, Which, Whether or Of, unless it is a
@@ -17,13 +18,18 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("the workspace")
 }
 
-/// The README, the start page of the documents, and every page of the guide.
+/// The shelves that are written for people who use the program.
+const SHELVES: [&str; 2] = ["docs/guide", "docs/reference"];
+
+/// The README, the start page of the documents, and every page of the guide and the reference.
 fn pages() -> Vec<PathBuf> {
     let mut pages: Vec<PathBuf> = ["README.md", "docs/README.md"].iter().map(|p| root().join(p)).collect();
-    for entry in std::fs::read_dir(root().join("docs/guide")).expect("docs/guide") {
-        let path = entry.expect("an entry").path();
-        if path.extension().is_some_and(|e| e == "md") {
-            pages.push(path);
+    for shelf in SHELVES {
+        for entry in std::fs::read_dir(root().join(shelf)).expect(shelf) {
+            let path = entry.expect("an entry").path();
+            if path.extension().is_some_and(|e| e == "md") {
+                pages.push(path);
+            }
         }
     }
     pages.sort();
@@ -186,15 +192,23 @@ fn the_readme_and_the_guide_are_easy_to_read() {
     assert!(count > 500, "only {count} sentences were found");
 }
 
-/// Every page of the guide is about something that its reader wants to do.
+/// Every page of both shelves is about something that its reader wants to do.
 #[test]
-fn every_page_of_the_guide_begins_with_what_its_reader_can_do() {
-    for page in pages().iter().filter(|p| p.starts_with(root().join("docs/guide"))) {
+fn every_page_begins_with_what_its_reader_can_do() {
+    let on_shelf = |page: &&PathBuf| SHELVES.iter().any(|shelf| page.starts_with(root().join(shelf)));
+    for page in pages().iter().filter(on_shelf) {
         let text = std::fs::read_to_string(page).unwrap_or_else(|e| panic!("{}: {e}", page.display()));
         let first = blocks(&text).into_iter().nth(1).expect("a paragraph below the heading").text;
         let addressed = first.split(|c: char| !c.is_alphabetic()).any(|w| w == "you");
         assert!(addressed, "{} begins with: {first}", page.display());
     }
+}
+
+/// A diver reads the guide from its first page to its last, so it stays short.
+#[test]
+fn the_guide_is_a_path_of_nine_pages() {
+    let guide = pages().into_iter().filter(|p| p.starts_with(root().join("docs/guide"))).count();
+    assert!(guide <= 9, "the guide has {guide} pages; a page to look things up belongs into docs/reference");
 }
 
 #[test]

@@ -560,7 +560,7 @@ impl Rules {
             self.add(serious_if(self.share(hidden.len()) > 0.1), "masks", text, remedy, hidden);
         }
         if let Some(text) = import.misnamed_masks() {
-            let remedy = "give each mask the name of its photograph (docs/guide/captures.md)";
+            let remedy = "give each mask the name of its photograph (docs/reference/captures.md)";
             self.add(Severity::Serious, "misnamed", text, remedy, Vec::new());
         } else if !import.unmasked.is_empty() {
             let (count, all) = (import.unmasked.len(), self.views);
@@ -571,7 +571,7 @@ impl Rules {
             self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());
         } else if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
-            self.note("masks", text, "paint them black in masks/ (docs/guide/captures.md)");
+            self.note("masks", text, "paint them black in masks/ (docs/guide/pictures.md)");
         }
     }
 }

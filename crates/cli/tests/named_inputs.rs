@@ -45,7 +45,7 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
         let learns = name != "ablation-stage1.toml";
         assert!(learns || !err.contains("the pairs of images"), "{err}");
         let pairs = learns.then(|| line("the pairs of images"));
-        for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/guide/datasets.md"] {
+        for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/reference/datasets.md"] {
             assert!(pairs.as_ref().is_none_or(|line| line.contains(word)), "{name}: {pairs:?}");
         }
         // Each missing file is listed once, with its name, its source, and the setting that avoids it.

@@ -103,7 +103,7 @@ impl Scheduler {
                 format!(
                     "no worker of now has {asked} for {}; tasks wait until one comes: start a larger worker with \
                      `hq worker start`, or write cpus, memory and time of your workers into \
-                     --cluster FILE (docs/guide/cluster.md), run `use3d cancel`, and submit again",
+                     --cluster FILE (docs/reference/cluster.md), run `use3d cancel`, and submit again",
                     jobs.join(", ")
                 )
             };
@@ -119,7 +119,7 @@ impl Scheduler {
                 }
             };
             format!(
-                "job {number} can never start ({reason}): {why} --cluster FILE (docs/guide/cluster.md), run \
+                "job {number} can never start ({reason}): {why} --cluster FILE (docs/reference/cluster.md), run \
                  `use3d cancel`, and submit again"
             )
         };

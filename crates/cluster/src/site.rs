@@ -104,7 +104,7 @@ pub enum Scheduler {
 pub enum SiteError {
     /// The file cannot be read.
     #[error(
-        "{0}; --cluster expects a file that describes the site (docs/guide/cluster.md shows one); without it \
+        "{0}; --cluster expects a file that describes the site (docs/reference/cluster.md shows one); without it \
          the defaults are used"
     )]
     Read(#[source] io::Error),

@@ -190,7 +190,7 @@ fn requested(job: &Job, error: ClusterError) -> ClusterError {
             let within = job.asks.needs.partition.as_ref().map(|name| format!(" in the partition {name}"));
             let reason = format!(
                 "{reason}; the job asks for {} and {}{}; if no node has these, write partition, cpus, memory and \
-                 time of your site into --cluster FILE (docs/guide/cluster.md)",
+                 time of your site into --cluster FILE (docs/reference/cluster.md)",
                 job.asks.words(),
                 clock(job.asks.time),
                 within.unwrap_or_default()

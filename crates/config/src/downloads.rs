@@ -41,7 +41,7 @@ impl Downloads {
         let variable = recipe.variable();
         let Some(root) = folder_in(variable).or_else(|| folder_in(DATA)) else {
             let reason = format!(
-                "neither {DATA} nor {variable} is set; set {DATA} to the folder of the downloads (docs/guide/datasets.md)"
+                "neither {DATA} nor {variable} is set; set {DATA} to the folder of the downloads (docs/reference/datasets.md)"
             );
             return (false, Err(reason));
         };

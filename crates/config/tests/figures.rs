@@ -31,7 +31,7 @@ const FIGURES: [&str; 2] = ["docs/science/results.md", "docs/science/performance
 const OTHERS: [(&str, &str); 6] = [
     ("docs/science/networks.md", "time and memory of the networks of others, which have no parameters"),
     ("docs/science/inputs.md", "strengths of faults, which a test of `synth` compares with its table"),
-    ("docs/guide/networks.md", "sizes of the files of others"),
+    ("docs/reference/networks.md", "sizes of the files of others"),
     ("docs/science/packages.md", "time and memory of two builds of the same program"),
     ("docs/science/viewers.md", "differences of pictures of one artificial scene, which a test asks again"),
     ("docs/science/decisions.md", "values of parameters, which tests of the page and of the preset compare"),

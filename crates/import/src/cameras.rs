@@ -135,7 +135,7 @@ struct Entry {
 }
 
 const EXPECTED: &str = "expected a list of cameras such as {\"width\": 640, \"height\": 360, \"fx\": 500, \"fy\": 500, \
-    \"cx\": 320, \"cy\": 180, \"rotation\": [9 numbers, row by row], \"translation\": [3 numbers]}, see docs/guide/captures.md";
+    \"cx\": 320, \"cy\": 180, \"rotation\": [9 numbers, row by row], \"translation\": [3 numbers]}, see docs/reference/captures.md";
 
 fn read_list(path: &Path) -> Result<Vec<(FileName, Camera)>, ImportError> {
     let bytes = std::fs::read(path).map_err(ImportError::file(path))?;

@@ -103,7 +103,7 @@ pub(crate) fn leave_out(mut views: Vec<&mut View>, survey: &Survey) -> Vec<Strin
     if median(looked.into_iter().flatten().flatten()).is_some_and(|median| median > DISTANCES) {
         faults.push(
             "the depth maps are larger where things are farther, so they are distances and are not used; write them so \
-             that larger is nearer, such as 1 divided by the distance (docs/guide/captures.md)"
+             that larger is nearer, such as 1 divided by the distance (docs/reference/captures.md)"
                 .into(),
         );
         views.into_iter().for_each(|view| view.depth_prior = None);

@@ -186,7 +186,7 @@ fn instead_of_a_model(root: &Path) -> String {
         let shown = holding[..holding.len().min(SHOWN)].join(", ");
         return format!(
             "folders in it have one ({shown}{more}): give one of them, such as {}, or name them all in a pipeline \
-             file (docs/guide/pipeline-file.md)",
+             file (docs/reference/pipeline-file.md)",
             root.join(first).display()
         );
     }

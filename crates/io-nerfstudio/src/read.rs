@@ -190,7 +190,7 @@ fn of_object(all: &Map<String, Value>, path: &Path, size: PhotographSize<'_>) ->
         fields(all, frames).into_iter().partition(|name| CHANGES.iter().any(|start| name.starts_with(start)));
     let file = path.file_name().map_or_else(String::new, |name| name.to_string_lossy().into_owned());
     survey.faults.extend(unread(&file, changing, KNOWN).map(|fields| {
-        format!("{fields}; they change the pictures: paint masks where pixels do not count (docs/guide/captures.md)")
+        format!("{fields}; they change the pictures: paint masks where pixels do not count (docs/guide/pictures.md)")
     }));
     survey.notes.extend(unread(&file, others, KNOWN));
     survey.check(path, REMEDY)?;

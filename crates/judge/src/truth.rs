@@ -153,7 +153,7 @@ impl Truth {
         say: &mut dyn FnMut(String),
     ) -> Option<Self> {
         const FORM: &str = "expected truth/clean/ with images of the views' names, and, if known, \
-             truth/depth/ and truth/water.json as `use3d synth capture` writes them (docs/guide/captures.md)";
+             truth/depth/ and truth/water.json as `use3d synth capture` writes them (docs/reference/captures.md)";
         if !is_there(capture) {
             if capture.join("truth").is_dir() && !is_prepared(capture) {
                 say(format!("the capture's truth/ folder has no clean/ and is not used; {FORM}"));

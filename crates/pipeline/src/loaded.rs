@@ -221,19 +221,19 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
             "one picture is not a capture: give the folder with the images and their cameras' model"
         }
         "json" if file.file_name().is_some_and(|name| name == "transforms.json") => {
-            "give the folder that transforms.json (nerfstudio) lies in, not the file (docs/guide/other-programs.md)"
+            "give the folder that transforms.json (nerfstudio) lies in, not the file (docs/reference/other-programs.md)"
         }
         "xml" | "psx" | "psz" => {
             "give a folder with Metashape's exported cameras (File > Export > Export Cameras, Agisoft XML) and the photographs \
-             (docs/guide/other-programs.md)"
+             (docs/reference/other-programs.md)"
         }
         "rcproj" => {
             "a project file of RealityScan (RealityCapture) is not read: export its cameras as CSV or XMP and its points \
-             as PLY beside the photographs, and give that folder (docs/guide/other-programs.md)"
+             as PLY beside the photographs, and give that folder (docs/reference/other-programs.md)"
         }
         "json" => {
             "this is not a pipeline file (.toml): give the capture's folder, with images and a model of their cameras \
-             (docs/guide/captures.md)"
+             (docs/reference/captures.md)"
         }
         _ => return None,
     })

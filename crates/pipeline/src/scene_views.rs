@@ -78,7 +78,7 @@ pub fn saved_views(file: Option<&Path>) -> Result<Option<SavedViews>, WorkError>
     let Some(file) = file else { return Ok(None) };
     let wrong = |what: String| WorkError::Input(format!("--views {}: {what}", path_text(file)));
     let next = "expected a file that the page saved with \"Save file\" below its views \
-         (docs/guide/browser.md)";
+         (docs/reference/outputs.md)";
     let text = text_of(file).map_err(|what| wrong(format!("{what}; {next}")))?;
     SavedViews::read(&text).map(Some).map_err(|what| wrong(format!("{what}; {next}")))
 }

@@ -80,7 +80,7 @@ fn refused(folder: &Path, path: &Path, reason: &str) -> PrepareError {
 
 /// The way for pictures that are encoded already.
 fn way_out(folder: &Path) -> String {
-    format!("use `use3d prepare {} --out CAPTURE_DIR` (docs/guide/datasets.md)", folder.display())
+    format!("use `use3d prepare {} --out CAPTURE_DIR` (docs/reference/datasets.md)", folder.display())
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 //!
 //! The owners distribute the data, so a recipe begins with their files: a folder, or an archive. What they do
 //! not publish, such as the frames that the paper took from films, is this program's choice, and
-//! docs/guide/datasets.md says so.
+//! docs/reference/datasets.md says so.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -137,7 +137,7 @@ impl Recipe {
         };
         format!(
             "{scene} of {set} is not there: expected a folder {scene} with {files}, or the archive that has it; {from} \
-             (docs/guide/datasets.md)"
+             (docs/reference/datasets.md)"
         )
     }
 }

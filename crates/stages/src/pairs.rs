@@ -56,7 +56,7 @@ pub(crate) mod definition {
     /// Fewest pairs that show how transitions vary.
     const FEWEST_PAIRS: usize = 2;
     /// The places where pairs are published.
-    const PAIRS: &str = "UIEB, LSUI or EUVP, docs/guide/datasets.md says where they are published";
+    const PAIRS: &str = "UIEB, LSUI or EUVP, docs/reference/datasets.md says where they are published";
 
     fn missing(all: &AllParameters, named: &Named) -> Vec<Lacking> {
         let Some(own) = all.of::<PairsParams>() else { return Vec::new() };

@@ -94,7 +94,7 @@ impl Rules {
             "Something moves through {count} of {compared} views (most in {}), probably fish or divers. In the scene they become haze.",
             most.join(", ")
         );
-        let remedy = "paint them black in masks (docs/guide/captures.md)";
+        let remedy = "paint them black in masks (docs/guide/pictures.md)";
         let list = names(views, |v| v.passed_points.is_some_and(|points| points > 0));
         self.add(Severity::Minor, "moving", text, remedy, list);
     }

@@ -45,7 +45,7 @@ pub(crate) struct CancelArgs {
 pub(crate) struct SubmitArgs {
     #[command(flatten)]
     pub(crate) pipeline: PipelineArgs,
-    /// The facts of the site: account, partition, resources of stages (docs/guide/cluster.md).
+    /// The facts of the site: account, partition, resources of stages (docs/reference/cluster.md).
     #[arg(long, value_name = "FILE")]
     pub(crate) cluster: Option<PathBuf>,
     /// The way in which the work is cut into tasks.

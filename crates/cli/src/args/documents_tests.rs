@@ -25,7 +25,7 @@ struct Command {
 fn pages() -> Vec<PathBuf> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let mut pages = vec![root.join("README.md"), root.join("CONTRIBUTING.md")];
-    for folder in ["docs", "docs/guide", "docs/science", "packaging/python"] {
+    for folder in ["docs", "docs/guide", "docs/reference", "docs/science", "packaging/python"] {
         for entry in std::fs::read_dir(root.join(folder)).expect(folder) {
             let path = entry.expect("an entry").path();
             if path.extension().is_some_and(|e| e == "md") {

@@ -63,7 +63,7 @@ pub(crate) fn run(
     let wrong = |what: &str| WorkError::Input(format!("--path {}: {what}", path_text(file)));
     let path = read(app, args, file).map_err(|what| {
         wrong(&format!(
-            "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/guide/browser.md)"
+            "{what}; expected a camera path as the page saves it, nerfstudio's camera_path.json or COLMAP's images.txt (docs/reference/outputs.md)"
         ))
     })?;
     let (width, height) = args.size.as_deref().map(parse_size).transpose()?.unwrap_or(SIZE);

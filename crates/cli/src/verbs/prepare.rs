@@ -21,7 +21,7 @@ pub(crate) fn run(app: &App, args: &PrepareArgs) -> Done {
         let variable = recipe.variable();
         return Err(WorkError::Input(format!(
             "`use3d prepare {}` is now a part of the paper's pipeline: `{variable}=FOLDER use3d run paper --until import` \
-             (docs/guide/datasets.md)",
+             (docs/reference/datasets.md)",
             recipe.name()
         )));
     }

@@ -10,7 +10,7 @@ fn page(path: &str) -> String {
 /// The message on missing pairs and the recipes send people to this page for addresses.
 #[test]
 fn the_page_on_data_sets_has_the_address_of_each() {
-    let text = page("docs/guide/datasets.md");
+    let text = page("docs/reference/datasets.md");
     for name in ["SeaThru-NeRF", "Sea-Thru", "DRUVA", "UIEB", "LSUI", "EUVP"] {
         let row = text.lines().find(|line| line.starts_with(&format!("| {name} | <https://")));
         assert!(row.is_some(), "{name} has no address");
@@ -31,12 +31,12 @@ fn the_shipped_commands_make_their_tables() {
 fn pages_say_what_was_tried_and_what_is_needed() {
     // Only one of the tests with stand-ins has weights of every network: crates/cli/tests/paper_runs.rs.
     assert!(page("docs/science/not-run.md").contains("stand-in weights of Nu2Net alone"));
-    let outputs = page("docs/guide/outputs.md");
+    let outputs = page("docs/reference/outputs.md");
     assert!(
         ["appearance", "kept_water"].iter().all(|field| outputs.contains(field)),
         "fields of enhancement"
     );
-    let python = page("docs/guide/python.md");
+    let python = page("docs/reference/python.md");
     let (before, _) = python.split_once("python3 -m unittest").expect("the command");
     assert!(before.contains("pip install numpy"), "the tests need NumPy");
     assert!(
