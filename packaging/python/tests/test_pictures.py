@@ -187,7 +187,7 @@ class Pictures(unittest.TestCase):
 @unittest.skipUnless(os.environ.get("USE3D_PROGRAM"), "SKIPPED: set USE3D_PROGRAM to a `use3d` to test with it")
 class Documented(unittest.TestCase):
     def test_the_page_of_the_guide_works_line_by_line(self):
-        page = (Path(__file__).parents[3] / "docs" / "guide" / "python.md").read_text(encoding="utf-8")
+        page = (Path(__file__).parents[3] / "docs" / "reference" / "python.md").read_text(encoding="utf-8")
         lines = re.search("```python\n(.+?)```", page, re.DOTALL)[1]
         sets = ["--set", "reconstruct.iterations=12", "--set", "enhance.iterations=6", "--cache", "cache"]
         real = use3d.run
