@@ -52,8 +52,8 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// True if everything is the paper's, or another method's with its authors' settings on the paper's split, so
-    /// that published numbers may be shown next to these.
+    /// True if everything is the paper's, or another method's with its authors' settings on the paper's
+    /// split, so that published numbers may be shown next to these.
     pub fn is_the_papers(&self) -> bool {
         let authors = COMPARED.iter().any(|(preset, _)| *preset == self.preset);
         (self.preset == PAPER || authors) && self.changed.is_empty() && self.data_of_the_paper

@@ -35,7 +35,7 @@ mod propose;
 mod reconstruct;
 mod render;
 pub mod report;
-pub mod side_by_side;
+mod side_by_side;
 mod targets;
 
 pub use engines::{CardError, Drawn, close_devices};

@@ -22,10 +22,11 @@ use crate::parts::calibrator::read_calibrator;
 use crate::parts::curves::stage_1;
 use crate::parts::files::{
     BATCH, CALIBRATED, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json,
-    write_json,
+    stems, write_json,
 };
 use crate::parts::proposer::NO_PROPOSER;
 use crate::reconstruct::Choices;
+pub use crate::side_by_side::{MethodSide, side_by_side};
 use use3d_chart::{Plot, RGB, Series};
 use use3d_judge::names::in_variant;
 use use3d_judge::scores::{Method, MethodScores, SceneScores};
@@ -473,15 +474,6 @@ fn views(
         sections.push(ViewSection { name: stem, place, lead, images, scores });
     }
     Ok(sections)
-}
-
-/// The stems of the files of a folder.
-pub(crate) fn stems(folder: &Path) -> Result<Vec<String>, StageError> {
-    let entries = std::fs::read_dir(folder).map_err(|e| StageError::io(folder, e))?;
-    let stem = |entry: std::io::Result<std::fs::DirEntry>| {
-        Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned())
-    };
-    Ok(entries.filter_map(stem).collect())
 }
 
 /// A score of a held-out view.

@@ -9,11 +9,11 @@ use use3d_render::Mode;
 use use3d_report::page::{Picture, ViewSection};
 use use3d_workflow::StageError;
 
-use crate::parts::files::{AUTHORS_CLEAR, TRUE_VIEWS};
-use crate::report::{ResultFolders, best_look, read_scores, stems, view_score};
+use crate::parts::files::{AUTHORS_CLEAR, TRUE_VIEWS, stems};
+use crate::report::{ResultFolders, best_look, read_scores, view_score};
 
 /// A scene by one method.
-pub struct Side<'a> {
+pub struct MethodSide<'a> {
     /// The name of the method.
     pub name: &'a str,
     /// What its scene took, in words: steps, Gaussians, processor seconds.
@@ -25,12 +25,12 @@ pub struct Side<'a> {
 }
 
 /// A method with its scores.
-struct Scored<'s> {
-    side: &'s Side<'s>,
+struct ByMethod<'s> {
+    side: &'s MethodSide<'s>,
     scores: SceneScores,
 }
 
-impl Scored<'_> {
+impl ByMethod<'_> {
     fn psnr(&self, stem: &str) -> Option<f64> {
         view_score(stem, Some(&self.scores), Method::Reconstruction, "psnr")
     }
@@ -59,7 +59,7 @@ impl Scored<'_> {
 }
 
 /// The lead of the best other method over the best own one in a view, dB.
-fn lead(scored: &[Scored<'_>], stem: &str) -> Option<f64> {
+fn lead(scored: &[ByMethod<'_>], stem: &str) -> Option<f64> {
     let best = |own: bool| {
         let values = scored.iter().filter(|method| method.side.own == own).filter_map(|m| m.psnr(stem));
         values.max_by(f64::total_cmp)
@@ -67,9 +67,9 @@ fn lead(scored: &[Scored<'_>], stem: &str) -> Option<f64> {
     Some(best(false)? - best(true)?)
 }
 
-/// The views that are shown, each with the reason: the middle one by the lead, and those where one side is furthest
-/// ahead.
-fn chosen(scored: &[Scored<'_>], stems: &[String]) -> Vec<(String, &'static str)> {
+/// The views that are shown, each with the reason: the middle one by the lead, and those where one side is
+/// furthest ahead.
+fn chosen(scored: &[ByMethod<'_>], stems: &[String]) -> Vec<(String, &'static str)> {
     let leads: BTreeMap<&String, f64> = stems.iter().filter_map(|s| Some((s, lead(scored, s)?))).collect();
     let mut order: Vec<(&String, f64)> = leads.into_iter().collect();
     order.sort_by(|a, b| a.1.total_cmp(&b.1));
@@ -88,16 +88,16 @@ fn chosen(scored: &[Scored<'_>], stems: &[String]) -> Vec<(String, &'static str)
     out
 }
 
-/// The views of a scene with a picture of every method. First come the photograph, the truth where it is known, and
-/// the views without water.
+/// The views of a scene with a picture of every method. First come the photograph, the truth where it is
+/// known, and the views without water.
 ///
 /// # Errors
 /// A file of an artifact cannot be read, or a picture cannot be encoded.
-pub fn side_by_side(sides: &[Side<'_>]) -> Result<Vec<ViewSection>, StageError> {
+pub fn side_by_side(sides: &[MethodSide<'_>]) -> Result<Vec<ViewSection>, StageError> {
     let mut scored = Vec::new();
     for side in sides {
         if let (Some(evaluated), Some(_)) = (side.folders.path("evaluate"), side.folders.path("render")) {
-            scored.push(Scored { side, scores: read_scores(evaluated)? });
+            scored.push(ByMethod { side, scores: read_scores(evaluated)? });
         }
     }
     let Some(first) = scored.first() else { return Ok(Vec::new()) };

@@ -98,7 +98,8 @@ pub(crate) struct BenchTruthArgs {
     /// The methods to compare: all, or only those that need no training of their own.
     #[arg(long, value_enum, default_value_t)]
     pub(crate) baselines: Baselines,
-    /// Train the methods that the paper compares with, too; a row shows the clear view of each as its authors do.
+    /// Train the methods that the paper compares with, too; a row shows the clear view of each as its authors
+    /// do.
     #[arg(long, conflicts_with = "method")]
     pub(crate) methods: bool,
     /// Stages to run at the same time, within the cores and memory of the machine.

@@ -137,9 +137,9 @@ const SIMPLE: [(&str, Method, &str); 5] = [
     (PSEUDO_LABELS, Method::Enhanced, "pseudo-labels"),
 ];
 
-/// The rows that a table may have: first the simple methods, then the clear views of other authors' methods as
-/// these show them, then the looks of the scene itself without its water or enhanced, once with the paper's start
-/// of the water and once with this program's default.
+/// The rows that a table may have: first the simple methods, then the clear views of other authors' methods
+/// as these show them, then the looks of the scene itself without its water or enhanced, once with the
+/// paper's start of the water and once with this program's default.
 fn rows() -> Vec<(&'static str, Method, String)> {
     let shown = |method: &Method| {
         *method != Method::Reconstruction

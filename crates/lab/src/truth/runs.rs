@@ -2,8 +2,8 @@
 //!
 //! There is one pipeline per seed; the seed determines both captures and trainings. The variant [`DEFAULT`]
 //! is this program with its default settings. It comes first, so that its stage 1 supplies the depth by which
-//! all variants are compared. The others are the simple methods, the paper's start of the water, and the methods
-//! that the paper compares with; each needs a training of its own.
+//! all variants are compared. The others are the simple methods, the paper's start of the water, and the
+//! methods that the paper compares with; each needs a training of its own.
 
 use std::fmt::Write;
 

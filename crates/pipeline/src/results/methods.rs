@@ -1,5 +1,5 @@
-//! The pages on which one scene by several methods stands side by side: one for each scene of a batch that trained
-//! methods of other authors. They lie in the folder of tables.
+//! The pages on which one scene by several methods stands side by side: one for each scene of a batch that
+//! trained methods of other authors. They lie in the folder of tables.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -10,8 +10,7 @@ use use3d_report::page::{Page, SceneSection};
 use use3d_report::tables::means::MeanScores;
 use use3d_report::tables::methods::{NAME, ahead, steps};
 use use3d_report::tables::paper;
-use use3d_stages::report::ResultFolders;
-use use3d_stages::side_by_side::{Side, side_by_side};
+use use3d_stages::report::{MethodSide, ResultFolders, side_by_side};
 
 use super::{DeliveredCell, PAGE, lineage};
 
@@ -50,14 +49,14 @@ pub(super) fn page(scene: &str, all: &[MeanScores], cells: &[DeliveredCell<'_>])
         let folders =
             own.nodes.iter().filter_map(|node| Some((node.stage, node.artifact.as_deref()?.path.as_path())));
         let other = made.get(own.variant).and_then(|made| made.compared_method());
-        Side {
+        MethodSide {
             name: own.variant,
             cost: scores.iter().find(|s| s.variant == own.variant).map(cost).unwrap_or_default(),
             own: other.is_none(),
             folders: ResultFolders { scene, group: "", variant: own.variant, folders: folders.collect() },
         }
     });
-    let sides: Vec<Side<'_>> = sides.collect();
+    let sides: Vec<MethodSide<'_>> = sides.collect();
     let views = side_by_side(&sides).map_err(|error| io::Error::other(error.to_string()))?;
     Ok(Page {
         title: format!("{scene}: the methods side by side"),

@@ -35,8 +35,8 @@ pub fn steps(made: &Configuration) -> Option<f64> {
     made.steps.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
 }
 
-/// The scenes on which a method of others reproduces the held-out photographs better than this program's: first
-/// the widest difference. `None` without such methods.
+/// The scenes on which a method of others reproduces the held-out photographs better than this program's:
+/// first the widest difference. `None` without such methods.
 pub fn ahead<'s>(scenes: impl IntoIterator<Item = &'s MeanScores>) -> Option<Sentence> {
     let (theirs, ours): (Vec<&MeanScores>, Vec<&MeanScores>) = scenes.into_iter().partition(|s| of_others(s));
     let best = |of: &[&MeanScores], scene: &str| -> Option<(f64, String)> {
