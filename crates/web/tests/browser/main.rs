@@ -6,6 +6,7 @@ mod foreign;
 mod pictures;
 mod scenes;
 mod served;
+mod software;
 
 use std::path::PathBuf;
 
