@@ -11,6 +11,8 @@
 //! **No network access.** The page carries a content policy that forbids fetching and sending; scripts and
 //! style are allowed by their digests.
 
+use std::collections::BTreeSet;
+
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use serde_json::{Value, json};
@@ -99,6 +101,8 @@ pub struct PageView {
     pub name: String,
     /// The camera, in the scene's frame.
     pub camera: Camera,
+    /// The day when the photograph was taken, if that is known: `2026-11-27`.
+    pub day: Option<String>,
     /// True if the view was held out from training.
     pub held_out: bool,
     /// The photograph, if the page shows it.
@@ -346,6 +350,7 @@ fn entries(page: &Page<'_>) -> Value {
         "white": page.white,
         "medium": water::entry(scene),
         "enhancement": enhancement::entry(scene),
+        "days": page.views.iter().filter_map(|view| view.day.as_ref()).collect::<BTreeSet<_>>(),
         "cameras": views,
     })
 }

@@ -103,11 +103,11 @@ function makePanel(viewer, navigation, server) {
     image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian',
     seasplat: 'its water belongs to finished images, and this page shows the scene without it',
     uir: 'its water belongs to finished images, and this page shows the scene without it' };
-  // For a guest: the photographs, and the way of the camera from the first to the last.
-  const { cameras, metresPerUnit } = header;
+  // For a guest: the photographs, their days, and the way of the camera from the first to the last.
+  const { cameras, days, metresPerUnit } = header, dayText = day => new Date(day).toLocaleDateString('en-GB', { day: 'numeric', month: 'long', year: 'numeric', timeZone: 'UTC' });
   const swim = cameras.slice(1).reduce((sum, view, i) => sum + norm(subtract(view.eye, cameras[i].eye)), 0) / header.frame.scale;
   element('facts').textContent = [
-    cameras.length ? `${cameras.length} photographs` : null, metresPerUnit && cameras.length > 1 ? `a swim of ${(swim * metresPerUnit).toPrecision(2)} m` : null,
+    cameras.length ? `${cameras.length} photographs` : null, days.length ? [...new Set([days[0], days[days.length - 1]])].map(dayText).join(' to ') : null, metresPerUnit && cameras.length > 1 ? `a swim of ${(swim * metresPerUnit).toPrecision(2)} m` : null,
   ].filter(Boolean).join(' · ');
   element('facts').hidden = !element('facts').textContent;
   // The number of Gaussians changes during training, so it is left out.

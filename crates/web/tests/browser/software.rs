@@ -101,7 +101,7 @@ fn a_page_begins_with_the_gaussians_that_matter_and_keeps_to_what_photographs_sa
         );
         // The guest reads about the photographs; one unit of the model is 0.4 of the scene's and 0.8 m.
         let facts = browser.evaluate("document.getElementById('facts').textContent");
-        assert_eq!(facts, json!("3 photographs · a swim of 2.0 m"));
+        assert_eq!(facts, json!("3 photographs · 28 November 2026 · a swim of 2.0 m"));
         assert_eq!(
             browser.evaluate("document.querySelectorAll('#modes input').length"),
             json!(4),
