@@ -1,4 +1,4 @@
-//! Camera paths for films: a smooth swim through given cameras, and a spiral around their mean.
+//! Camera paths for films: a smooth swim through given cameras, and a spiral around the one in their middle.
 
 use glam::{DMat3, DQuat, DVec3};
 use use3d_numerics::math;
@@ -69,21 +69,21 @@ fn spline(points: &[DVec3], t: f64) -> DVec3 {
     lerp(lerp(a1, a2, t0, t2), lerp(a2, a3, t1, t3), t1, t2)
 }
 
-/// Returns `frames` cameras that circle once around the mean camera, looking at the scene in front of it at
-/// distance `focus`.
+/// The camera nearest to the centre of all. Between cameras nobody was, so the scene may be unknown there.
+pub fn middle(cameras: &[Camera]) -> Option<&Camera> {
+    let center = cameras.iter().map(|k| k.pose.center()).sum::<DVec3>() / cameras.len() as f64;
+    let away = |k: &Camera| (k.pose.center() - center).length_squared();
+    cameras.iter().min_by(|a, b| away(a).total_cmp(&away(b)))
+}
+
+/// Returns `frames` cameras that circle once around a camera, looking at the scene in front of it at distance
+/// `focus`.
 ///
-/// The circle is in the mean camera's image plane with `radius` (scene units) and is half as high as wide,
-/// with a gentle dolly along the axis. The lens is the first key's. No keys give an empty path.
-pub fn spiral(keys: &[Camera], frames: usize, radius: f64, focus: f64) -> Vec<Camera> {
-    let Some(first) = keys.first() else { return Vec::new() };
-    let n = keys.len() as f64;
-    let center = keys.iter().map(|k| k.pose.center()).sum::<DVec3>() / n;
-    let forward =
-        keys.iter().map(|k| k.pose.rotation.row(2)).sum::<DVec3>().normalize_or(first.pose.rotation.row(2));
-    let up =
-        -keys.iter().map(|k| k.pose.rotation.row(1)).sum::<DVec3>().normalize_or(first.pose.rotation.row(1));
-    let right = forward.cross(up).normalize_or(first.pose.rotation.row(0));
-    let up = right.cross(forward);
+/// The circle is in the camera's image plane with `radius` (scene units) and is half as high as wide, with a
+/// gentle dolly along the axis.
+pub fn spiral(key: &Camera, frames: usize, radius: f64, focus: f64) -> Vec<Camera> {
+    let (center, rotation) = (key.pose.center(), key.pose.rotation);
+    let (right, up, forward) = (rotation.row(0), -rotation.row(1), rotation.row(2));
     let target = center + focus * forward;
     (0..frames)
         .map(|f| {
@@ -92,7 +92,7 @@ pub fn spiral(keys: &[Camera], frames: usize, radius: f64, focus: f64) -> Vec<Ca
                 * (math::cos(phase) * right
                     + 0.5 * math::sin(phase) * up
                     + 0.25 * math::sin(2.0 * phase) * forward);
-            Camera { intrinsics: first.intrinsics, pose: Pose::look_at(center + offset, target, up) }
+            Camera { intrinsics: key.intrinsics, pose: Pose::look_at(center + offset, target, up) }
         })
         .collect()
 }
@@ -129,15 +129,17 @@ mod tests {
     }
 
     #[test]
-    fn the_spiral_keeps_its_target_in_the_middle() {
+    fn the_spiral_stays_at_a_camera_and_keeps_its_target_in_the_middle() {
         let keys = keys();
-        for camera in spiral(&keys, 24, 0.3, 2.0) {
+        let key = middle(&keys).unwrap();
+        assert_eq!(key.pose.center(), keys[2].pose.center());
+        for camera in spiral(key, 24, 0.3, 2.0) {
             camera.validate().unwrap();
-            let n = keys.len() as f64;
-            let center = keys.iter().map(|k| k.pose.center()).sum::<DVec3>() / n;
-            let forward = keys.iter().map(|k| k.pose.rotation.row(2)).sum::<DVec3>().normalize();
-            let (pixel, _) = camera.project(center + 2.0 * forward).unwrap();
+            assert!((camera.pose.center() - key.pose.center()).length() < 0.32);
+            let target = key.pose.center() + 2.0 * key.pose.rotation.row(2);
+            let (pixel, _) = camera.project(target).unwrap();
             assert!((pixel.x - 4.0).abs() < 1e-9 && (pixel.y - 3.0).abs() < 1e-9);
         }
+        assert_eq!(middle(&[]), None);
     }
 }

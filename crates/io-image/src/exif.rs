@@ -32,6 +32,8 @@ pub struct Exif {
     pub camera: (String, String, u64),
     /// The place where it was taken, if it is stated.
     pub gps: Option<GpsPosition>,
+    /// The day when it was taken, if it is stated: `2026-11-27`.
+    pub day: Option<String>,
 }
 
 /// The bytes of a JPEG that are read to find its EXIF data, which stand at the beginning.
@@ -50,6 +52,17 @@ impl TiffStructure<'_> {
     /// The ratio at a place.
     fn ratio(&self, at: usize) -> Option<(u64, u64)> {
         Some((self.number(at, 4)?, self.number(at.checked_add(4)?, 4)?))
+    }
+
+    /// The day of a date and time, `2026:11:27 10:15:00`.
+    fn day(&self, entry: usize) -> Option<String> {
+        let text = self.text(entry)?;
+        let day = text.get(..10)?.replace(':', "-");
+        let digits = day
+            .bytes()
+            .enumerate()
+            .all(|(i, b)| if i == 4 || i == 7 { b == b'-' } else { b.is_ascii_digit() });
+        (digits && !day.starts_with("0000")).then_some(day)
     }
 
     fn thousandths(&self, entry: usize) -> Option<u64> {
@@ -156,8 +169,10 @@ pub(crate) fn exif_of_block(block: &[u8]) -> Exif {
             0x8825 => exif.gps = tiff.long(entry + 8).and_then(|at| tiff.position(at)),
             0x8769 => {
                 let inner = tiff.long(entry + 8).unwrap_or(usize::MAX);
-                let focal = tiff.entries(inner).find(|(tag, _)| *tag == 0x920A);
-                exif.camera.2 = focal.and_then(|(_, entry)| tiff.thousandths(entry)).unwrap_or(0);
+                let value =
+                    |wanted: u64| tiff.entries(inner).find(|(tag, _)| *tag == wanted).map(|(_, entry)| entry);
+                exif.camera.2 = value(0x920A).and_then(|entry| tiff.thousandths(entry)).unwrap_or(0);
+                exif.day = value(0x9003).and_then(|entry| tiff.day(entry));
             }
             _ => {}
         }
@@ -194,7 +209,7 @@ mod tests {
         // directory with its ratio, then that of the position with seven ratios.
         let text = b"GoPro\0\0\0";
         let inner = 74 + text.len() as u32;
-        let place = inner + 2 + 12 + 4 + 8;
+        let place = inner + 2 + 24 + 4 + 8 + 20;
         let values = place + 2 + 6 * 12 + 4;
         let body = [
             if big { b"MM\0*".to_vec() } else { b"II*\0".to_vec() },
@@ -207,11 +222,13 @@ mod tests {
             entry(0x8825, 4, 1, long(place)),
             long(0),
             text.to_vec(),
-            short(1),
-            entry(0x920A, 5, 1, long(inner + 2 + 12 + 4)),
+            short(2),
+            entry(0x9003, 2, 20, long(inner + 2 + 24 + 4 + 8)),
+            entry(0x920A, 5, 1, long(inner + 2 + 24 + 4)),
             long(0),
             long(240),
             long(10),
+            b"2026:11:27 10:15:00\0".to_vec(),
             short(6),
             entry(1, 2, 2, b"S\0".to_vec()),
             entry(2, 5, 3, long(values)),
@@ -239,6 +256,7 @@ mod tests {
             let exif = exif_of_bytes(&bytes);
             assert_eq!(exif.orientation, 6);
             assert_eq!(exif.camera, ("GoPro".to_string(), "H9".to_string(), 24_000));
+            assert_eq!(exif.day.as_deref(), Some("2026-11-27"));
             let gps = exif.gps.unwrap();
             assert!((gps.latitude + (12.0 + 6.0 / 60.0 + 30.5 / 3600.0)).abs() < 1e-12, "{gps:?}");
             assert!((gps.longitude - 68.9).abs() < 1e-12 && gps.altitude == Some(-2.5), "{gps:?}");

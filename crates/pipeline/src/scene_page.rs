@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use use3d_import::{ImportError, Imported, load_prepared};
-use use3d_io_image::{ImageError, read_image};
+use use3d_io_image::{ImageError, read_exif, read_image};
 use use3d_scene::{Origin, Scene, SceneError, White};
 use use3d_web::{Page, PageView, Photograph, WebError, Written};
 
@@ -40,7 +40,8 @@ pub fn views(
         camera.pose = scene.frame.apply_pose(&capture.frame.invert_pose(&camera.pose));
         let name = view.stem().to_string();
         let photograph = Some(Photograph::new(&name, &read_image(&view.image)?)?);
-        Ok(PageView { held_out: is_held_out(origin, &name), name, camera, photograph, enhanced: None })
+        let day = read_exif(&view.image).ok().and_then(|exif| exif.day);
+        Ok(PageView { held_out: is_held_out(origin, &name), name, camera, day, photograph, enhanced: None })
     });
     views.collect()
 }

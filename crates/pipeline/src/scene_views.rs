@@ -157,6 +157,7 @@ pub fn page_views(
             held_out: is_held_out(origin.as_ref(), &name),
             name,
             camera,
+            day: None,
             photograph: None,
             enhanced: None,
         }

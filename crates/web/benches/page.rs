@@ -2,8 +2,8 @@
 //! default).
 //!
 //! It measures the time to make the page and its size. In Chromium, from a local file, it measures the time
-//! until everything is unpacked and in order (the time to the first picture apart from drawing it), and the
-//! sort alone (the median over turns of the camera).
+//! until the first Gaussians are unpacked and in order (the time to the first picture apart from drawing it),
+//! and the sort of all (the median over turns of the camera).
 
 #![allow(dead_code, reason = "the browser's tests use more of what is shared")]
 
@@ -57,7 +57,7 @@ fn main() {
     browser.resize(160, 120, false);
     browser.open(&path);
     let ordered = browser.evaluate("performance.getEntriesByName('use3d ordered')[0].startTime");
-    println!("unpacked and in order after {:.2} s", ordered.as_f64().unwrap_or(f64::NAN) / 1e3);
+    println!("the first Gaussians are in order after {:.2} s", ordered.as_f64().unwrap_or(f64::NAN) / 1e3);
     let turn = format!(
         "(async () => {{ use3d.viewer.held = true; const took = [];
           for (let i = 0; i < {TURNS}; i++) {{ use3d.viewer.camera.look(0.3, 0); use3d.viewer.sorter.ask(use3d.viewer.camera.state());

@@ -14,10 +14,11 @@
 //! it with one blend function. The remaining differences to the program's own renderer come from half-float
 //! sums and from 8-bit harmonics.
 //!
-//! Reading order: `scene_file` (numbers → bytes) → `water` and `enhancement` (the page's data about both) →
-//! `photographs` → [`page`]. [`path`], `saved` and [`foreign`] are independent of these.
+//! Reading order: `evidence` and `scene_file` (numbers → bytes) → `water` and `enhancement` (the page's data
+//! about both) → `photographs` → [`page`]. [`path`], `saved` and [`foreign`] are independent of these.
 
 mod enhancement;
+mod evidence;
 pub mod foreign;
 mod geometry;
 pub mod page;

@@ -5,8 +5,13 @@
 //! large even then keeps all harmonics and gets a folder of scripts next to the page, which browsers also
 //! read from a disk.
 //!
+//! **The first picture comes early.** The page begins with the Gaussians that matter most, without the finer
+//! harmonics; its script runs before the rest is there. Photographs come last.
+//!
 //! **No network access.** The page carries a content policy that forbids fetching and sending; scripts and
 //! style are allowed by their digests.
+
+use std::collections::BTreeSet;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -14,7 +19,9 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use use3d_capture::Camera;
 use use3d_scene::{Scene, White};
+use use3d_ubaf::OUTPUTS;
 
+use crate::evidence::Evidence;
 use crate::{Photograph, SavedViews, WebError, enhancement, geometry, scene_file, water};
 
 /// Largest number of bytes of a page that is one file.
@@ -33,6 +40,7 @@ const SCRIPTS: &[&str] = &[
     include_str!("../page/script/gl.js"),
     include_str!("../page/script/renderer.js"),
     include_str!("../page/script/sorter.js"),
+    include_str!("../page/script/software.js"),
     include_str!("../page/script/camera.js"),
     include_str!("../page/script/flight.js"),
     include_str!("../page/script/viewer.js"),
@@ -66,7 +74,8 @@ const SHADERS: &[(&str, &str)] = &[
 
 const FRAME: &str = include_str!("../page/page.html");
 const STYLE: &str = include_str!("../page/page.css");
-const WORKER: &str = include_str!("../page/script/sort.worker.js");
+const WORKER: &str =
+    concat!(include_str!("../page/script/sort.worker.js"), include_str!("../page/script/draw.worker.js"));
 
 /// The contents of a page.
 #[derive(Clone, Debug)]
@@ -92,6 +101,8 @@ pub struct PageView {
     pub name: String,
     /// The camera, in the scene's frame.
     pub camera: Camera,
+    /// The day when the photograph was taken, if that is known: `2026-11-27`.
+    pub day: Option<String>,
     /// True if the view was held out from training.
     pub held_out: bool,
     /// The photograph, if the page shows it.
@@ -140,7 +151,58 @@ pub struct Served {
 pub fn header(page: &Page<'_>) -> Value {
     let mut header = entries(page);
     header["sections"] = Value::Array(Vec::new());
+    header["photographs"] = photographs(page);
     header
+}
+
+/// The bytes of a scene's Gaussians and water, for the sections of a page.
+struct Contents<'a> {
+    scene: &'a Scene,
+    grades: Option<Vec<[f32; OUTPUTS]>>,
+    evidence: Option<Evidence>,
+    /// The order of the Gaussians, and the number of those with which the page begins.
+    order: Vec<u32>,
+    first: usize,
+}
+
+impl<'a> Contents<'a> {
+    fn of(page: &Page<'a>) -> Result<Self, WebError> {
+        let scene = page.scene;
+        if scene.gaussians.is_empty() {
+            return Err(WebError::Empty);
+        }
+        let cameras: Vec<Camera> = page.views.iter().filter(|v| !v.held_out).map(|v| v.camera).collect();
+        let evidence = Evidence::of(scene, &cameras);
+        let (order, first) = geometry::file_order(&scene.gaussians, |i| match &evidence {
+            Some(evidence) => evidence.weights[i],
+            None => geometry::size(&scene.gaussians, i),
+        });
+        Ok(Self { scene, grades: enhancement::grades(scene), evidence, order, first })
+    }
+
+    /// The geometry of the Gaussians with which the page begins, or of the others.
+    fn geometry(&self, first: bool) -> Vec<u8> {
+        let order = if first { &self.order[..self.first] } else { &self.order[self.first..] };
+        scene_file::geometry(self.scene, self.grades.as_deref(), self.evidence.as_ref(), order)
+    }
+
+    fn harmonics(&self, degree: usize) -> Vec<u8> {
+        if degree == 0 { Vec::new() } else { scene_file::harmonics(self.scene, degree, &self.order) }
+    }
+
+    /// Adds what the page needs to read the sections, with harmonics up to `degree`.
+    fn describe(&self, header: &mut Value, degree: usize) {
+        header["first"] = self.first.into();
+        header["evidence"] = self.evidence.is_some().into();
+        header["degree"] = degree.into();
+        header["harmonicBytes"] = scene_file::harmonic_bytes(degree).into();
+    }
+}
+
+/// The photographs of each view: as taken, and in the light and colours of the scene.
+fn photographs(page: &Page<'_>) -> Value {
+    let address = |photograph: &Option<Photograph>| photograph.as_ref().map(|p| p.address.clone());
+    page.views.iter().map(|view| json!([address(&view.photograph), address(&view.enhanced)])).collect()
 }
 
 /// All data from which the page draws a scene, with harmonics of every degree.
@@ -148,21 +210,17 @@ pub fn header(page: &Page<'_>) -> Value {
 /// # Errors
 /// Fails for a scene without Gaussians.
 pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
-    let scene = page.scene;
-    if scene.gaussians.is_empty() {
-        return Err(WebError::Empty);
-    }
-    let order = geometry::curve_order(&scene.gaussians);
-    let grades = enhancement::grades(scene);
-    let degree = scene.gaussians.sh_degree.min(3);
-    let mut sections = vec![("geometry", scene_file::geometry(scene, grades.as_deref(), &order))];
-    if degree > 0 {
-        sections.push(("harmonics", scene_file::harmonics(scene, degree, &order)));
-    }
-    sections.extend(water::cube(scene).map(|cube| ("cube", cube)));
+    let (contents, degree) = (Contents::of(page)?, page.scene.gaussians.sh_degree.min(3));
+    let sections = [
+        ("geometry", contents.geometry(true)),
+        ("cube", water::cube(page.scene).unwrap_or_default()),
+        ("rest", contents.geometry(false)),
+        ("harmonics", contents.harmonics(degree)),
+        ("photographs", photographs(page).to_string().into_bytes()),
+    ];
+    let sections: Vec<_> = sections.into_iter().filter(|(_, bytes)| !bytes.is_empty()).collect();
     let mut header = entries(page);
-    header["degree"] = degree.into();
-    header["harmonicBytes"] = scene_file::harmonic_bytes(degree).into();
+    contents.describe(&mut header, degree);
     header["sections"] = sections.iter().map(|(name, _)| json!({ "name": name, "parts": 1 })).collect();
     let sections = sections.into_iter().map(|(name, bytes)| Ok((name, scene_file::packed(&bytes)?)));
     Ok(PageData { header, sections: sections.collect::<Result<_, WebError>>()? })
@@ -170,7 +228,7 @@ pub fn data(page: &Page<'_>) -> Result<PageData, WebError> {
 
 /// The page that requests its scene from the server.
 pub fn served() -> Served {
-    let (html, policy) = html("3D-USE", &Value::Null, "", SceneSource::Server);
+    let (html, policy) = html("3D-USE", &Value::Null, ["", ""], SceneSource::Server);
     Served { html, policy }
 }
 
@@ -185,26 +243,25 @@ pub fn write(page: &Page<'_>, folder: &str) -> Result<Written, WebError> {
 
 /// Like [`write`], with another size limit for one file.
 fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, WebError> {
-    let scene = page.scene;
-    if scene.gaussians.is_empty() {
-        return Err(WebError::Empty);
-    }
-    let order = geometry::curve_order(&scene.gaussians);
-    let grades = enhancement::grades(scene);
-    let full = scene.gaussians.sh_degree.min(3);
-    let pack = |bytes: Vec<u8>| Ok::<_, WebError>(STANDARD.encode(scene_file::packed(&bytes)?));
-    let harmonics = |degree: usize| match degree {
-        0 => Ok(String::new()),
-        _ => pack(scene_file::harmonics(scene, degree, &order)),
+    let (contents, full) = (Contents::of(page)?, page.scene.gaussians.sh_degree.min(3));
+    let pack = |bytes: Vec<u8>| match bytes.is_empty() {
+        true => Ok(String::new()),
+        false => Ok::<_, WebError>(STANDARD.encode(scene_file::packed(&bytes)?)),
     };
-    let (geometry, all) =
-        rayon::join(|| pack(scene_file::geometry(scene, grades.as_deref(), &order)), || harmonics(full));
-    let (geometry, all) = (geometry?, all?);
-    let cube = water::cube(scene).map_or_else(|| Ok(String::new()), pack)?;
+    let harmonics = |degree: usize| pack(contents.harmonics(degree));
+    let ((geometry, rest), all) =
+        rayon::join(|| (pack(contents.geometry(true)), pack(contents.geometry(false))), || harmonics(full));
+    let (geometry, rest, all) = (geometry?, rest?, all?);
+    let cube = pack(water::cube(page.scene).unwrap_or_default())?;
     let mut header = entries(page);
+    let photographs = format!(
+        "<script type=\"application/json\" id=\"photographs\">{}</script>\n",
+        photographs(page).to_string().replace('<', "\\u003c")
+    );
 
     // The page without its parts, and room for their elements.
-    let fixed = html(page.name, &header, "", SceneSource::Page).0.len() + geometry.len() + cube.len() + 1000;
+    let frame = html(page.name, &header, ["", &photographs], SceneSource::Page).0.len();
+    let fixed = frame + geometry.len() + rest.len() + cube.len() + 1000;
     let mut degree = full;
     let mut kept = all.clone();
     while degree > 0 && fixed + kept.len() > most {
@@ -215,31 +272,31 @@ fn write_below(page: &Page<'_>, folder: &str, most: usize) -> Result<Written, We
     if !one_file {
         (degree, kept) = (full, all);
     }
-    let sections = [("geometry", geometry), ("harmonics", kept), ("cube", cube)];
-    let sections: Vec<_> = sections.into_iter().filter(|(_, text)| !text.is_empty()).collect();
-    header["degree"] = degree.into();
-    header["harmonicBytes"] = scene_file::harmonic_bytes(degree).into();
-    let mut parts = Vec::new();
-    let mut entries = Vec::new();
-    let mut embedded = String::new();
-    for (name, text) in &sections {
+    contents.describe(&mut header, degree);
+    // The script of the page stands between the first two sections and the others.
+    let sections = [("geometry", geometry), ("cube", cube), ("rest", rest), ("harmonics", kept)];
+    let (mut parts, mut entries, mut elements) = (Vec::new(), Vec::new(), [String::new(), String::new()]);
+    for (i, (name, text)) in sections.iter().enumerate().filter(|(_, (_, text))| !text.is_empty()) {
+        let elements = &mut elements[usize::from(i > 1)];
         // Base64 uses groups of four characters, so every piece stands for whole bytes.
         let pieces: Vec<&str> = if one_file { vec![text] } else { pieces(text, PART) };
         entries.push(json!({ "name": name, "parts": pieces.len() }));
         for piece in pieces {
             if one_file {
-                embedded.push_str(&format!("<script type=\"text/plain\" data-part>{piece}</script>\n"));
+                elements.push_str(&format!("<script type=\"text/plain\" data-part>{piece}</script>\n"));
             } else {
                 let file = format!("part-{}.js", parts.len());
-                embedded
+                elements
                     .push_str(&format!("<script src=\"{}/{file}\"></script>\n", escaped(&address(folder))));
                 parts.push((file, format!("(window.use3dParts ||= []).push(\"{piece}\");\n")));
             }
         }
     }
+    elements[1].push_str(&photographs);
     header["sections"] = entries.into();
     let source = if one_file { SceneSource::Page } else { SceneSource::Beside };
-    Ok(Written { html: html(page.name, &header, &embedded, source).0, parts, degree })
+    let html = html(page.name, &header, elements.each_ref().map(String::as_str), source).0;
+    Ok(Written { html, parts, degree })
 }
 
 /// `text` in pieces of at most `most` bytes, a multiple of four.
@@ -250,7 +307,7 @@ fn pieces(text: &str, most: usize) -> Vec<&str> {
 /// A digest of everything in a page except the scene. It distinguishes two programs that make different pages
 /// of the same scene.
 pub fn digest() -> String {
-    let (html, _) = html("", &Value::Null, "", SceneSource::Page);
+    let (html, _) = html("", &Value::Null, ["", ""], SceneSource::Page);
     Sha256::digest(html.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -273,8 +330,6 @@ fn entries(page: &Page<'_>) -> Value {
                 "height": k.height,
                 "heldOut": view.held_out,
                 "focus": geometry::focus(&scene.gaussians, &view.camera),
-                "photo": view.photograph.as_ref().map(|p| &p.address),
-                "enhanced": view.enhanced.as_ref().map(|p| &p.address),
             })
         })
         .collect();
@@ -295,6 +350,7 @@ fn entries(page: &Page<'_>) -> Value {
         "white": page.white,
         "medium": water::entry(scene),
         "enhancement": enhancement::entry(scene),
+        "days": page.views.iter().filter_map(|view| view.day.as_ref()).collect::<BTreeSet<_>>(),
         "cameras": views,
     })
 }
@@ -307,8 +363,8 @@ enum SceneSource {
     Server,
 }
 
-/// The text of the whole page, and its content policy.
-fn html(name: &str, header: &Value, parts: &str, source: SceneSource) -> (String, String) {
+/// The text of the whole page, and its content policy; `parts` are the elements before and after its script.
+fn html(name: &str, header: &Value, parts: [&str; 2], source: SceneSource) -> (String, String) {
     let script = SCRIPTS.join("\n");
     let script_element = format!("\n(() => {{\n'use strict';\n{script}\n}})();\n");
     let style_element = format!("\n{STYLE}\n");
@@ -339,7 +395,8 @@ fn html(name: &str, header: &Value, parts: &str, source: SceneSource) -> (String
         ("{{shaders}}", &shaders.join("\n")),
         ("{{worker}}", WORKER),
         ("{{header}}", &header),
-        ("{{parts}}", parts),
+        ("{{parts}}", parts[0]),
+        ("{{rest}}", parts[1]),
         ("\n(() => {\n'use strict';\n{{script}}\n})();\n", &script_element),
         ("{{title}}", &escaped(name)),
     ];

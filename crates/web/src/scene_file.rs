@@ -1,9 +1,10 @@
-//! The page's textures of a scene: 48 bytes of geometry and up to 47 of harmonics per Gaussian.
+//! The page's textures of a scene: 48 or 52 bytes of geometry and up to 47 of harmonics per Gaussian.
 //!
 //! ```text
 //! geometry   centre 3 × f32 · grade (last bias) f16 · 0 u16
 //!            quaternion wxyz 4 × i16, unit · log σ 3 × u16 in [−18, 6] · opacity u16 in [0, 1]
 //!            harmonics of degree 0, RGB f16 · log-gain RGB f16 · bias RG f16
+//!            the photographs' evidence 4 × u8, if there is any
 //! harmonics  (bands − 1) × RGB signed bytes · their largest magnitude f16, the value of the byte 127
 //! ```
 //!
@@ -21,8 +22,10 @@ use use3d_numerics::spherical_harmonics::bands;
 use use3d_scene::Scene;
 use use3d_ubaf::OUTPUTS;
 
-/// Bytes of geometry per Gaussian.
-pub(crate) const GEOMETRY: usize = 48;
+use crate::evidence::Evidence;
+
+/// Bytes of geometry per Gaussian, without the evidence.
+const GEOMETRY: usize = 48;
 /// Range of the logarithms of sizes: scene units from 1.5e-8 to 403.
 const LOG_SIZES: [f32; 2] = [-18.0, 6.0];
 /// Gaussians per parallel task.
@@ -34,9 +37,15 @@ pub(crate) const fn harmonic_bytes(degree: usize) -> usize {
 }
 
 /// The geometry of the Gaussians in the order of `order`.
-pub(crate) fn geometry(scene: &Scene, grades: Option<&[[f32; OUTPUTS]]>, order: &[u32]) -> Vec<u8> {
+pub(crate) fn geometry(
+    scene: &Scene,
+    grades: Option<&[[f32; OUTPUTS]]>,
+    evidence: Option<&Evidence>,
+    order: &[u32],
+) -> Vec<u8> {
     let g = &scene.gaussians;
-    planes(order, GEOMETRY, |i, out| {
+    let stride = GEOMETRY + if evidence.is_some() { 4 } else { 0 };
+    planes(order, stride, |i, out| {
         let grade = grades.map_or([0.0; OUTPUTS], |grades| grades[i]);
         let mut words = [0u16; GEOMETRY / 2];
         for axis in 0..3 {
@@ -61,6 +70,9 @@ pub(crate) fn geometry(scene: &Scene, grades: Option<&[[f32; OUTPUTS]]>, order: 
         }
         for (bytes, word) in out.chunks_exact_mut(2).zip(words) {
             bytes.copy_from_slice(&word.to_le_bytes());
+        }
+        if let Some(evidence) = evidence {
+            out[GEOMETRY..].copy_from_slice(&evidence.bytes[i]);
         }
     })
 }
@@ -136,7 +148,7 @@ mod tests {
             enhancement: None,
         };
         let grades = vec![[0.0; 6], [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]];
-        let planes = geometry(&scene, Some(&grades), &[0, 1]);
+        let planes = geometry(&scene, Some(&grades), None, &[0, 1]);
         let record: Vec<u8> = (0..GEOMETRY).map(|k| planes[2 * k + 1]).collect();
         let word = |k: usize| u16::from_le_bytes([record[2 * k], record[2 * k + 1]]);
         let half = |k: usize| f16::from_bits(word(k)).to_f32();

@@ -103,10 +103,10 @@ pub(crate) fn cameras(args: &RenderArgs, scene: &Scene) -> Result<Vec<(FileName,
     let film = match &args.path {
         None | Some(CameraPath::File(_)) => return Ok(cameras),
         Some(CameraPath::Interpolate) => path::interpolate(&keys, args.frames),
-        Some(CameraPath::Spiral) => {
-            let focus = keys.first().map_or(1.0, |camera| focus(scene, camera));
-            path::spiral(&keys, args.frames, 0.12 * focus, focus)
-        }
+        Some(CameraPath::Spiral) => path::middle(&keys).map_or_else(Vec::new, |camera| {
+            let focus = focus(scene, camera);
+            path::spiral(camera, args.frames, 0.12 * focus, focus)
+        }),
     };
     Ok(film.into_iter().enumerate().map(|(i, camera)| (FileName::frame(i), camera)).collect())
 }

@@ -3,6 +3,8 @@
 // restores. Ups and views belong to the page, never to the scene.
 
 const DEGREE = Math.PI / 180;
+// Greatest distance of the visitor from the nearest photograph, as a multiple of half the scene's size.
+const FARTHEST = 2;
 
 // The photograph that the page opens at: the training view nearest to the centre of all cameras, because a
 // capture's first view lies at its edge. With one or two photographs it is the first.
@@ -14,7 +16,8 @@ function openingView(cameras) {
   return trained.reduce((best, one) => (away(one) < away(best) ? one : best))[1];
 }
 
-function makeCamera(header) {
+// `aspect()` is the width of the picture through its height.
+function makeCamera(header, aspect) {
   const { low, high } = header.bounds;
   const middle = scaled(add(low, high), 0.5), reach = Math.max(norm(subtract(high, low)) / 2, 1e-3);
   const first = header.cameras[openingView(header.cameras)];
@@ -31,15 +34,24 @@ function makeCamera(header) {
   };
   camera.target = () => along(camera.eye, camera.rotation[2], camera.focus);
   // A view of the whole scene in the present direction.
-  camera.framing = aspect => {
-    const half = Math.atan(Math.tan(camera.fov * DEGREE / 2) * Math.min(1, aspect));
+  camera.framing = () => {
+    const half = Math.atan(Math.tan(camera.fov * DEGREE / 2) * Math.min(1, aspect()));
     const focus = reach / Math.sin(Math.min(half, 1.2));
     return { eye: along(middle, camera.rotation[2], -focus), rotation: camera.rotation, fov: camera.fov, focus };
   };
-  // The camera of a photograph, with the photograph's own field of view.
-  camera.atView = view => ({
-    eye: view.eye, rotation: view.rotation, focus: view.focus || reach, fov: 2 * Math.atan(view.height / 2 / view.lens[1]) / DEGREE,
-  });
+  // The camera of a photograph, with a field of view that has the whole photograph in it.
+  camera.atView = view => {
+    const slope = Math.max(view.height / 2 / view.lens[1], view.width / 2 / view.lens[0] / aspect());
+    return { eye: view.eye, rotation: view.rotation, focus: view.focus || reach, fov: 2 * Math.atan(slope) / DEGREE };
+  };
+  // The distance from the nearest photograph is limited: farther away nothing is known well.
+  const eyes = header.cameras.length < 3 ? [] : header.cameras.map(view => view.eye), most = FARTHEST * reach;
+  camera.stay = () => {
+    if (!eyes.length) return;
+    const nearest = eyes.reduce((a, b) => (norm(subtract(b, camera.eye)) < norm(subtract(a, camera.eye)) ? b : a));
+    const away = subtract(camera.eye, nearest), far = norm(away);
+    if (far > most) camera.eye = along(nearest, away, most / far);
+  };
   camera.home = () => {
     if (first) return camera.atView(first);
     const rotation = looking([0.5, 0.8, -0.35], [0, 0, 1]);

@@ -52,6 +52,14 @@ function wordTexture(gl, bytes, texels, rows) {
   return texture;
 }
 
+// A texture of whole numbers, one texel of four bytes for each Gaussian.
+function byteTexture(gl, bytes, texels, rows) {
+  const texture = makeTexture(gl), filled = new Uint8Array(4 * texels * rows);
+  filled.set(bytes);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8UI, texels, rows, 0, gl.RGBA_INTEGER, gl.UNSIGNED_BYTE, filled);
+  return texture;
+}
+
 // A framebuffer with `count` half-float pictures; `resize` gives all of them a new size.
 function makeTarget(gl, count) {
   const target = { buffer: gl.createFramebuffer(), textures: Array.from({ length: count }, () => makeTexture(gl)), width: 0, height: 0 };

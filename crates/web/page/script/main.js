@@ -9,7 +9,7 @@ async function start() {
     element('about-page').textContent = scene.server ? 'The program that serves this page draws its pictures.' : 'The scene comes from the program that serves this page.';
   }
   const viewer = makeViewer(canvas, scene), overlay = makeOverlay(element('overlay'), viewer);
-  const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation);
+  const navigation = makeNavigation(canvas, viewer), panel = makePanel(viewer, navigation, server);
   const views = makeViews(viewer, overlay), path = makePath(viewer, overlay), recorder = makeRecorder(viewer, path);
   const measure = makeMeasure(viewer, overlay), saved = makeSaved(viewer, measure), white = makeWhite(viewer, server, picture);
   makeSplit(viewer);
@@ -24,8 +24,19 @@ async function start() {
   const training = makeTraining(viewer, server);
   views.current = openingView(scene.header.cameras);
   await new Promise(done => { viewer.on('frame', done); });
+  performance.mark('use3d first picture');
   progress.hidden = true;
   document.body.classList.add('ready');
+  element('slow').hidden = !viewer.software;
+  // A phone has no room for the line.
+  if (viewer.software && !element('slow').offsetParent) say(element('slow').textContent);
+  if (scene.complete) {
+    scene.complete().then(all => {
+      if (all) viewer.load(all);
+      views.fill();
+      viewer.complete = true;
+    }).catch(error => problem(`A part of this scene cannot be shown: ${error.message}.`));
+  }
   const settled = async () => {
     for (;;) {
       viewer.sorter.ask(viewer.camera.state());
@@ -36,6 +47,13 @@ async function start() {
   // The float picture (RGBA, rows from the top) of a camera { eye, rotation, lens, width, height } and a look
   // { mode, strength, water, white }, or of a box of that picture.
   async function picture(view, look, box = null) {
+    if (viewer.software) {
+      const whole = await viewer.renderer.picture(view, look);
+      if (!box) return whole;
+      const [left, top, width, height] = box, part = new Float32Array(4 * width * height);
+      for (let y = 0; y < height; y++) part.set(whole.subarray(4 * ((top + y) * view.width + left), 4 * ((top + y) * view.width + left + width)), 4 * width * y);
+      return part;
+    }
     const { held } = viewer;
     viewer.held = true;
     viewer.sorter.ask(view);

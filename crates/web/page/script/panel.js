@@ -1,8 +1,8 @@
 // The panel: its tabs, the choice of mode and its sliders, facts about the scene. Also the row of buttons
-// below the picture.
+// below the picture. `server` is the program, if it serves the page.
 
-function makePanel(viewer, navigation) {
-  const { header, camera } = viewer, modes = modesOf(header);
+function makePanel(viewer, navigation, server) {
+  const { header, camera } = viewer, modes = modesOf(header, server);
 
   // Tabs follow the ARIA pattern: arrow keys move between them, and only one is in the tab order.
   const tabs = [...document.querySelectorAll('[role=tab]')];
@@ -85,7 +85,7 @@ function makePanel(viewer, navigation) {
 
   // The row of buttons.
   const actions = {
-    frame: () => viewer.fly(camera.framing(viewer.renderer.gl.canvas.clientWidth / Math.max(1, viewer.renderer.gl.canvas.clientHeight))),
+    frame: () => viewer.fly(camera.framing()),
     reset: () => { camera.up = [...camera.upright]; viewer.fly(camera.home()); },
     level: () => viewer.fly(camera.levelled()),
     picture: () => savePicture(viewer),
@@ -103,11 +103,15 @@ function makePanel(viewer, navigation) {
     image: 'one water everywhere: the program lays it over the finished image, and this page in front of every Gaussian',
     seasplat: 'its water belongs to finished images, and this page shows the scene without it',
     uir: 'its water belongs to finished images, and this page shows the scene without it' };
+  // For a guest: the photographs, their days, and the way of the camera from the first to the last.
+  const { cameras, days, metresPerUnit } = header, dayText = day => new Date(day).toLocaleDateString('en-GB', { day: 'numeric', month: 'long', year: 'numeric', timeZone: 'UTC' });
+  const swim = cameras.slice(1).reduce((sum, view, i) => sum + norm(subtract(view.eye, cameras[i].eye)), 0) / header.frame.scale;
   element('facts').textContent = [
-    // The number of Gaussians changes during training, so it is left out.
-    header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.of ?? header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced',
-    header.cameras.length ? `${header.cameras.length} photographs` : null,
+    cameras.length ? `${cameras.length} photographs` : null, days.length ? [...new Set([days[0], days[days.length - 1]])].map(dayText).join(' to ') : null, metresPerUnit && cameras.length > 1 ? `a swim of ${(swim * metresPerUnit).toPrecision(2)} m` : null,
   ].filter(Boolean).join(' · ');
+  element('facts').hidden = !element('facts').textContent;
+  // The number of Gaussians changes during training, so it is left out.
+  element('about-scene').textContent = `${[header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.of ?? header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced'].filter(Boolean).join(' · ')}.`;
   return { actions, open: name => open(element(`tab-${name}`)), modes };
 }
 

@@ -20,8 +20,16 @@ function makeRenderer(canvas, scene) {
     show: makeProgram(gl, 'screen.vert', 'show.frag'),
   };
   const texels = 3 * PER_ROW;
-  const geometry = wordTexture(gl, scene.geometry, texels, scene.rows);
-  const harmonics = scene.harmonics ? wordTexture(gl, scene.harmonics, texels, scene.rows) : geometry;
+  let geometry, harmonics, evidence, degree;
+  // Takes the Gaussians of a scene; those of the complete scene replace those with which the page begins.
+  function load(data) {
+    for (const old of new Set([geometry, harmonics, evidence])) gl.deleteTexture(old ?? null);
+    geometry = wordTexture(gl, data.geometry, texels, data.rows);
+    harmonics = data.harmonics ? wordTexture(gl, data.harmonics, texels, data.rows) : geometry;
+    evidence = data.evidence ? byteTexture(gl, data.evidence, PER_ROW, data.rows) : null;
+    degree = data.degree;
+  }
+  load(scene);
   const maps = makeTarget(gl, 3), sum = makeTarget(gl, 1);
   const cubes = medium.side ? bakedWater(gl, scene.cube, medium.side) : [];
   const noCube = makeTexture(gl, gl.NEAREST, gl.TEXTURE_CUBE_MAP);
@@ -72,7 +80,7 @@ function makeRenderer(canvas, scene) {
     const { splat } = programs, [fx, fy, cx, cy] = camera.lens, { width, height } = camera;
     const [mx, my] = [NO_LIMITS * width / 2 / fx, NO_LIMITS * height / 2 / fy];
     splat.use();
-    splat.ints({ perRow: PER_ROW, degree: header.degree, graded: mode.graded, watery: amount > 0, depthOnly: !!mode.depth });
+    splat.ints({ perRow: PER_ROW, degree, known: evidence !== null, graded: mode.graded, watery: amount > 0, depthOnly: !!mode.depth });
     splat.floats({
       ...pose(camera), eye: camera.eye, size: [width, height], height, objects: mode.objects, veil: mode.veil, strength: look.strength,
       limits: [-(cx / fx + mx), (width - cx) / fx + mx, -(cy / fy + my), (height - cy) / fy + my],
@@ -80,6 +88,7 @@ function makeRenderer(canvas, scene) {
     if (mode.graded) splat.arrays(4, { affine: affine(look.strength) });
     splat.texture('geometry', 0, geometry);
     splat.texture('harmonicBytes', 1, harmonics);
+    splat.texture('evidence', 5, evidence ?? geometry);
     ['waterColor', 'waterBackscatter', 'waterAttenuation'].forEach((name, i) => splat.texture(name, 2 + i, maps.textures[i]));
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
@@ -106,6 +115,7 @@ function makeRenderer(canvas, scene) {
 
   return {
     gl,
+    load,
     setOrder(sorted) {
       gl.bindBuffer(gl.ARRAY_BUFFER, order);
       gl.bufferData(gl.ARRAY_BUFFER, sorted, gl.DYNAMIC_DRAW);

@@ -1,6 +1,9 @@
 // The program that served this page, if there is one: `use3d view`, or a training that is watched. Requests
 // carry the token after `#` in the address, which browsers never send to a server. `#TOKEN,server` makes the
-// program draw the pictures, `#TOKEN,browser` this page.
+// program draw the pictures, `#TOKEN,browser` this page. `webgl` in its place, or alone after `#` in a page
+// without a server, makes the page draw by WebGL even without a graphics card.
+
+const usesWebgl = () => /(^#|,)webgl$/.test(location.hash);
 
 function makeServer() {
   if (JSON.parse(element('scene').textContent) !== null) return null;
@@ -57,7 +60,7 @@ function makeServerRenderer(canvas, server, shown) {
         [canvas.width, canvas.height] = [picture.width, picture.height];
         context.drawImage(picture, 0, 0);
         picture.close();
-        shown(Number(answer.headers.get('X-Divisor')));
+        shown(asked.camera);
       } catch (error) {
         // After a program has ended, requests become less and less frequent.
         server.lost = !error.status;

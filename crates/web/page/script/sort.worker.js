@@ -10,17 +10,16 @@ const LOWEST = new Uint32Array(new Float32Array([NEAR]).buffer)[0];
 const low = new Uint32Array(BUCKETS), high = new Uint32Array(BUCKETS);
 let centres = new Float32Array(0), depths, bits, seen, halfKeys, halfSeen;
 
-function order(forward, offset) {
-  const n = centres.length / 3, [fx, fy, fz] = forward;
+function reserve(n) {
+  depths = new Float32Array(n);
+  bits = new Uint32Array(depths.buffer);
+  [seen, halfKeys, halfSeen] = [new Uint32Array(n), new Uint16Array(n), new Uint32Array(n)];
+}
+
+// The first `count` items of `seen`, by their `depths`.
+function farthestFirst(count) {
   low.fill(0);
   high.fill(0);
-  let count = 0;
-  for (let i = 0, j = 0; i < n; i++, j += 3) {
-    const z = fx * centres[j] + fy * centres[j + 1] + fz * centres[j + 2] - offset;
-    if (!(z >= NEAR && z <= FAR)) continue;
-    depths[count] = z;
-    seen[count++] = i;
-  }
   for (let k = 0; k < count; k++) {
     const key = Math.max(0, bits[k] - LOWEST) >>> 4;
     bits[k] = key;
@@ -40,15 +39,30 @@ function order(forward, offset) {
   return out;
 }
 
-onmessage = ({ data }) => {
-  if (data.centres) {
-    centres = data.centres;
-    const n = centres.length / 3;
-    depths = new Float32Array(n);
-    bits = new Uint32Array(depths.buffer);
-    [seen, halfKeys, halfSeen] = [new Uint32Array(n), new Uint16Array(n), new Uint32Array(n)];
-    return;
+function order(forward, offset) {
+  const n = centres.length / 3, [fx, fy, fz] = forward;
+  let count = 0;
+  for (let i = 0, j = 0; i < n; i++, j += 3) {
+    const z = fx * centres[j] + fy * centres[j + 1] + fz * centres[j + 2] - offset;
+    if (!(z >= NEAR && z <= FAR)) continue;
+    depths[count] = z;
+    seen[count++] = i;
   }
-  const started = performance.now(), sorted = order(data.forward, data.offset);
-  postMessage({ id: data.id, sorted, milliseconds: performance.now() - started }, [sorted.buffer]);
+  return farthestFirst(count);
+}
+
+onmessage = ({ data }) => {
+  if (data.scene) {
+    splats = decoded(data.scene);
+    reserve(splats.count);
+  } else if (data.halves) {
+    if (!data.floats) newest = data.id;
+    drawn(data);
+  } else if (data.centres) {
+    centres = data.centres;
+    reserve(centres.length / 3);
+  } else {
+    const started = performance.now(), sorted = order(data.forward, data.offset);
+    postMessage({ id: data.id, sorted, milliseconds: performance.now() - started }, [sorted.buffer]);
+  }
 };

@@ -1,12 +1,17 @@
 // Requests the order of a pose from the worker. One request is open at a time, and only the newest of the
 // waiting ones is kept.
 
-function makeSorter(centres, sorted) {
-  const source = document.getElementById('sort-worker').textContent;
-  const worker = new Worker(URL.createObjectURL(new Blob([source], { type: 'text/javascript' })));
-  worker.postMessage({ centres }, [centres.buffer]);
+function makeWorker() {
+  const source = document.getElementById('worker').textContent;
+  return new Worker(URL.createObjectURL(new Blob([source], { type: 'text/javascript' })));
+}
+
+function makeSorter(sorted) {
+  const worker = makeWorker();
   let busy = false, waiting = null, last = null, id = 0;
   const sorter = { milliseconds: 0, settled: () => !busy && !waiting };
+  // Other Gaussians are in no order yet.
+  sorter.load = centres => { worker.postMessage({ centres }, [centres.buffer]); last = null; };
   const send = pose => {
     busy = true;
     last = pose;

@@ -7,7 +7,7 @@ function makeTraining(viewer, server) {
   if (!server) return null;
   const training = { status: null }, kept = JSON.parse(sessionStorage.getItem(PLACE) || 'null');
   sessionStorage.removeItem(PLACE);
-  if (kept?.name === viewer.header.name) { viewer.camera.set(kept.camera); viewer.setLook(modesOf(viewer.header).includes(kept.look.mode) ? kept.look : {}); }
+  if (kept?.name === viewer.header.name) { viewer.camera.set(kept.camera); viewer.setLook(modesOf(viewer.header, true).includes(kept.look.mode) ? kept.look : {}); }
   let version = null;
 
   const number = (value, digits) => (Number.isFinite(value) ? value.toFixed(digits) : '–');

@@ -1,20 +1,25 @@
 // Draws the picture on the screen, and only when something changed. While the camera moves, a slow machine
-// gets a lower resolution; when it stands still, the picture has full resolution.
+// gets a lower resolution; when it stands still, the picture has full resolution. Without a graphics card, a
+// worker or the program draws, and answers later.
 
 const SCALES = [1, 0.75, 0.5, 0.35, 0.25], SLOW = 45, FAST = 18, STILL = 160;
 
 function makeViewer(canvas, scene) {
   const { header } = scene, listeners = { frame: [], look: [] };
-  let dirty = true, movedAt = -1e9, rung = 0, lastFrame = 0, shownAt = 0;
+  let dirty = true, coarse = false, movedAt = performance.now(), rung = 0, lastFrame = 0, shownAt = 0;
   const range = [1, 10];
-  const camera = makeCamera(header), { server } = scene;
-  const renderer = server ? makeServerRenderer(canvas, server, () => viewer.tell('frame')) : makeRenderer(canvas, scene);
+  const camera = makeCamera(header, () => canvas.clientWidth / Math.max(1, canvas.clientHeight)), { server } = scene;
+  const software = !server && !usesWebgl() && drawsInSoftware(), later = server || software;
+  const answered = pose => { viewer.shown = pose; viewer.tell('frame'); };
+  const renderer = server ? makeServerRenderer(canvas, server, answered) : software ? makeSoftwareRenderer(canvas, scene, answered) : makeRenderer(canvas, scene);
   const invalidate = () => { dirty = true; };
-  const sorter = server ? { ask() {}, settled: () => true } : makeSorter(scene.centres, sorted => { if (!viewer.ready) performance.mark('use3d ordered'); renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
-  const moved = () => { movedAt = performance.now(); invalidate(); };
+  const sorter = later ? { ask() {}, load() {}, settled: () => true } : makeSorter(sorted => { if (!viewer.ready) performance.mark('use3d ordered'); renderer.setOrder(sorted); invalidate(); viewer.ready = true; });
+  if (!later) sorter.load(scene.centres);
+  const moved = () => { camera.stay(); movedAt = performance.now(); invalidate(); };
   const flight = makeFlight(camera, moved);
   const viewer = {
-    drawsHere: !server, camera, renderer, sorter, flight, header, invalidate, moved, ready: !!server,
+    drawsHere: !server, software, camera, renderer, sorter, flight, header, invalidate, moved, ready: !!later,
+    shown: null,              // the camera of the picture on the screen
     held: false,              // true while a picture is drawn for a caller: no frames meanwhile
     look: { mode: openingMode(header), strength: 1, water: 1, white: header.white?.gains ?? null },
     compare: null,            // the mode on the left, or null
@@ -43,9 +48,10 @@ function makeViewer(canvas, scene) {
 
   function draw(now) {
     const moving = now - movedAt < STILL;
-    if (server) {
+    if (later) {
       const most = Math.min(1, 1600 / Math.max(1, canvas.clientWidth));
       renderer.ask(camera.pinhole(Math.max(1, Math.round(most * canvas.clientWidth)), Math.max(1, Math.round(most * canvas.clientHeight))), viewer.look, viewer.leftLook(), viewer.at, moving);
+      coarse = moving;
       if (moving) setTimeout(invalidate, STILL + 10);
       return;
     }
@@ -59,10 +65,12 @@ function makeViewer(canvas, scene) {
     const width = Math.max(1, Math.round(canvas.clientWidth * scale)), height = Math.max(1, Math.round(canvas.clientHeight * scale));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
     if ([viewer.look.mode, viewer.compare].includes('depth') && !moving) depthRange();
-    renderer.draw(camera.pinhole(width, height), viewer.look, viewer.leftLook(), viewer.at, range);
+    viewer.shown = camera.pinhole(width, height);
+    renderer.draw(viewer.shown, viewer.look, viewer.leftLook(), viewer.at, range);
     shownAt = now;
     // Draws with full resolution again as soon as nothing moves.
-    if (moving && scale < Math.min(window.devicePixelRatio || 1, 2)) setTimeout(invalidate, STILL + 10);
+    coarse = moving && scale < Math.min(window.devicePixelRatio || 1, 2);
+    if (coarse) setTimeout(invalidate, STILL + 10);
     viewer.tell('frame');
   }
 
@@ -76,15 +84,25 @@ function makeViewer(canvas, scene) {
     dirty = false;
     draw(now);
   }
-  new ResizeObserver(invalidate).observe(canvas);
+  // The first view fits the window also after a phone was turned.
+  let home = camera.home();
+  new ResizeObserver(() => {
+    const there = camera.fov === home.fov && camera.eye.every((v, i) => v === home.eye[i]);
+    home = camera.home();
+    if (there) camera.set(home);
+    invalidate();
+  }).observe(canvas);
   requestAnimationFrame(frame);
-  viewer.settled = () => viewer.ready && sorter.settled() && !dirty && !flight.busy() && (!server || renderer.settled());
+  // The complete scene, in place of the Gaussians with which the page began.
+  viewer.load = data => { renderer.load(data); sorter.load(data.centres); invalidate(); };
+  viewer.complete = !scene.complete;
+  viewer.settled = () => viewer.ready && viewer.complete && sorter.settled() && !dirty && !coarse && !flight.busy() && (!later || renderer.settled());
   // The median depth of the picture around a place in CSS pixels; null if nothing is there.
   viewer.depthAt = async (x, y) => {
     const size = 9, pinhole = camera.pinhole(canvas.clientWidth, canvas.clientHeight), [fx, fy, cx, cy] = pinhole.lens;
     const view = { ...pinhole, width: size, height: size, lens: [fx, fy, cx - x + size / 2, cy - y + size / 2] };
     if (server) return renderer.depth(view);
-    const part = renderer.picture(view, { mode: 'depth', strength: 0, water: 0 }), found = [];
+    const part = await renderer.picture(view, { mode: 'depth', strength: 0, water: 0 }), found = [];
     for (let i = 0; i < part.length; i += 4) if (part[i + 3] > 0.25) found.push(part[i]);
     invalidate();
     return found.length ? found.sort((a, b) => a - b)[found.length >> 1] : null;

@@ -7,11 +7,13 @@ function makeViews(viewer, overlay) {
   element('camera-tools').hidden = cameras.length === 0;
   list.hidden = cameras.length === 0;
 
-  cameras.forEach((view, i) => {
+  // The list of the photographs; `fill` makes it again when they have been read.
+  views.fill = () => list.replaceChildren(...cameras.map((view, i) => {
     const held = view.heldOut ? make('span', { class: 'badge', title: 'not seen in training' }, 'held out') : '';
     const picture = view.photo ? make('img', { src: view.photo, alt: '', loading: 'lazy' }) : make('span', { class: 'blank' });
-    list.append(make('li', {}, make('button', { type: 'button', class: 'card', onclick: () => views.go(i) }, picture, make('span', { class: 'name' }, view.name), held)));
-  });
+    return make('li', {}, make('button', { type: 'button', class: 'card', 'aria-current': String(i === views.current), onclick: () => views.go(i) }, picture, make('span', { class: 'name' }, view.name), held));
+  }));
+  views.fill();
 
   // The photograph stays beside the picture while the camera is at its place.
   const photo = element('photo');

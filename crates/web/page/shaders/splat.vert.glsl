@@ -10,6 +10,10 @@
 // constant harmonics and grade as 16-bit numbers. Three hold the other harmonics: 45 signed bytes and their
 // scale.
 //
+// The photographs' evidence says from where a Gaussian was seen: a cone about the direction m with the half
+// angle t, and the greatest distance. In other directions a Gaussian fades; a loose one (128 in the
+// byte of the angle) also fades farther away. One that no photograph saw is not drawn.
+//
 // The colour of a view is c = max(0, sum_k Y_k sh_k + 1/2). An enhanced colour is c+ = e^{s a} (c + s (dA c +
 // b_g)) + s b with the strength s; s = 0 is exactly the reconstruction.
 precision highp float;
@@ -17,7 +21,8 @@ precision highp int;
 precision highp usampler2D;
 
 layout(location = 0) in uint index;
-uniform usampler2D geometry, harmonicBytes;
+uniform usampler2D geometry, harmonicBytes, evidence;
+uniform bool known;             // false: there is no evidence
 uniform int perRow;             // Gaussians per row of the textures
 uniform int degree;
 uniform vec3 eye, right, down, forward;
@@ -30,7 +35,7 @@ uniform vec4 affine[3];         // rows (dA | b_g), times the strength
 
 out vec2 offset;                // standard deviations from the centre
 flat out vec3 color;
-flat out float opacity, depth;
+flat out float opacity, depth, farthest;
 
 //#include harmonics
 
@@ -59,6 +64,22 @@ vec3 viewColor(ivec2 texel, vec3 constant, vec3 direction) {
   return max(c, 0.0);
 }
 
+// The share that is shown of a Gaussian in this direction; sets the greatest distance of the water.
+float shownShare(ivec2 at, vec3 direction, float far) {
+  const float FADES = 0.25;       // radians beyond the cone
+  uvec4 bytes = texelFetch(evidence, at, 0);
+  if (bytes.w == 0u) return 0.0;
+  farthest = exp(float(bytes.w) / 18.0 - 7.0);
+  vec3 m = vec3(vec2(bytes.xy) / 127.5 - 1.0, 0.0);
+  m.z = 1.0 - abs(m.x) - abs(m.y);
+  if (m.z < 0.0) m.xy = (1.0 - abs(m.yx)) * vec2(m.x < 0.0 ? -1.0 : 1.0, m.y < 0.0 ? -1.0 : 1.0);
+  float cone = float(bytes.z & 127u) / 127.0 * 3.14159265;
+  float full = cos(cone), gone = cone + FADES > 3.14159265 ? -1.0001 : cos(cone + FADES);
+  float t = clamp((dot(normalize(m), direction) - gone) / max(full - gone, 1e-6), 0.0, 1.0);
+  t = t * t * (3.0 - 2.0 * t);
+  return bytes.z < 128u ? t : t * (1.0 - smoothstep(0.95 * farthest, 1.3 * farthest, far));
+}
+
 mat3 turn(vec4 q) {             // w, x, y, z
   float w = q.x, x = q.y, y = q.z, z = q.w;
   return mat3(
@@ -82,7 +103,10 @@ void main() {
   vec3 X = vec3(dot(right, away), dot(down, away), dot(forward, away));
   depth = X.z;
   opacity = float(second.w >> 16) / 65535.0;
-  if (!(X.z >= 0.01 && X.z <= 1e4) || opacity < 1.0 / 255.0) return;
+  farthest = 1e9;
+  if (!(X.z >= 0.01 && X.z <= 1e4)) return;
+  if (known) opacity *= shownShare(ivec2(texel.x / 3, row), normalize(away), length(away));
+  if (opacity < 1.0 / 255.0) return;
 
   vec4 q = vec4(float(int(second.x << 16) >> 16), float(int(second.x) >> 16), float(int(second.y << 16) >> 16), float(int(second.y) >> 16));
   vec3 logs = vec3(float(second.z & 0xffffu), float(second.z >> 16), float(second.w & 0xffffu)) * (24.0 / 65535.0) - 18.0;

@@ -13,7 +13,7 @@ use use3d_numerics::spherical_harmonics::{C0, bands};
 use use3d_splat::Gaussians;
 
 use super::{NO_WATER, largest, normalised, opacity};
-use crate::geometry::curve_order;
+use crate::geometry::along_curve;
 
 const CHUNK: usize = 256;
 /// Logarithms of sizes are clamped to ± this.
@@ -21,7 +21,7 @@ const LARGEST_LOG: f32 = 20.0;
 
 /// The step of positions in the file, units: that of the median chunk along its widest side.
 pub fn step(gaussians: &Gaussians) -> f64 {
-    let order = curve_order(gaussians);
+    let order = along_curve(gaussians);
     let side = |chunk: &[u32]| {
         let means: Vec<[f32; 3]> = chunk.iter().map(|i| gaussians.means[*i as usize]).collect();
         let [low, high] = range(&means);
@@ -36,7 +36,7 @@ pub fn step(gaussians: &Gaussians) -> f64 {
 /// # Errors
 /// Returns the errors of the writer.
 pub fn write(gaussians: &Gaussians, comments: &[String], mut writer: impl Write) -> io::Result<()> {
-    let order: Vec<usize> = curve_order(gaussians).into_iter().map(|i| i as usize).collect();
+    let order: Vec<usize> = along_curve(gaussians).into_iter().map(|i| i as usize).collect();
     let g = gaussians.select(&order);
     let n = g.len();
     writeln!(writer, "ply\nformat binary_little_endian 1.0\ncomment {NO_WATER}")?;
@@ -189,7 +189,7 @@ mod tests {
             let written = varied(700, degree);
             let mut file = Vec::new();
             write(&written, &["mine".into()], &mut file).unwrap();
-            let order: Vec<usize> = curve_order(&written).into_iter().map(|i| i as usize).collect();
+            let order: Vec<usize> = along_curve(&written).into_iter().map(|i| i as usize).collect();
             assert_alike(&written.select(&order), &read(&file), [5e-3, 3e-3, 1e-5, 0.002, 0.01, 0.0157]);
         }
     }

@@ -161,10 +161,11 @@ impl Chromium {
         self.ask("Page.navigate", json!({ "url": address }));
     }
 
-    /// Opens a file and waits until the scene is shown.
+    /// Opens a file and waits until the scene is shown. The page draws by WebGL, as with a graphics card.
     pub(crate) fn open(&mut self, path: &std::path::Path) {
-        self.go(&format!("file://{}", path.display()));
+        self.go(&format!("file://{}#webgl", path.display()));
         self.ready();
+        self.evaluate("use3d.settled()");
     }
 
     /// Waits until the scene is shown.

@@ -120,7 +120,7 @@ fn two_looks_are_compared_and_photographs_stand_beside() {
 
     // A look is not compared with itself.
     browser.evaluate("use3d.viewer.setLook({ mode: 'reconstruction' }), document.getElementById('compare-mode').value = 'reconstruction', document.getElementById('compare').click()");
-    assert_eq!(browser.evaluate("use3d.viewer.compare"), json!("clear"));
+    assert_eq!(browser.evaluate("use3d.viewer.compare"), json!("enhanced"));
 
     browser.evaluate("use3d.views.go(1)");
     browser.evaluate("use3d.settled()");

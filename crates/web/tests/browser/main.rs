@@ -6,6 +6,7 @@ mod foreign;
 mod pictures;
 mod scenes;
 mod served;
+mod software;
 
 use std::path::PathBuf;
 
@@ -20,6 +21,7 @@ fn page_views() -> Vec<PageView> {
     let views = scenes::cameras(2, 160, 120).into_iter().enumerate().map(|(i, camera)| PageView {
         name: format!("photo_{i}"),
         camera,
+        day: Some(format!("2026-11-{}", 27 + i)),
         held_out: i == 0,
         enhanced: (i == 0).then(|| Photograph::new("photo", &Image::filled(160, 120, 0.75)).expect("a JPEG")),
         photograph: Some(

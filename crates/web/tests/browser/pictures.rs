@@ -37,7 +37,13 @@ pub(crate) fn drawn(scene: &Scene, camera: &Camera, mode: &str, strength: f32, w
 const DEPTH: f32 = 4.0;
 
 /// The browser's picture.
-fn shown(browser: &mut Chromium, camera: &Camera, mode: &str, strength: f32, water: f32) -> Vec<f32> {
+pub(crate) fn shown(
+    browser: &mut Chromium,
+    camera: &Camera,
+    mode: &str,
+    strength: f32,
+    water: f32,
+) -> Vec<f32> {
     let (k, pose) = (&camera.intrinsics, &camera.pose);
     let rows: [[f64; 3]; 3] = std::array::from_fn(|r| pose.rotation.row(r).to_array());
     let view = json!({
@@ -66,13 +72,29 @@ fn shown_as(browser: &mut Chromium, view: &Value, look: &Value) -> Vec<f32> {
 }
 
 /// Mean difference, and the share of values that differ by more than 0.01.
-fn difference(a: &[f32], b: &[f32]) -> (f64, f64) {
+pub(crate) fn difference(a: &[f32], b: &[f32]) -> (f64, f64) {
     assert_eq!(a.len(), b.len());
     let n = a.len() as f64;
     let apart = a.iter().zip(b).map(|(a, b)| f64::from((a - b).abs()));
     let far = apart.clone().filter(|d| *d > 0.01).count() as f64;
     (apart.sum::<f64>() / n, far / n)
 }
+
+/// The test's looks of a scene with water and enhancement.
+pub(crate) const LOOKS: [(&str, f32, f32); 12] = [
+    ("reconstruction", 1.0, 1.0),
+    ("reconstruction", 1.0, 0.5),
+    ("clear", 1.0, 1.0),
+    ("enhanced", 0.0, 1.0),
+    ("enhanced", 0.5, 1.0),
+    ("enhanced", 1.0, 1.0),
+    ("enhanced", 1.0, 0.25),
+    ("enhanced-clear", 0.0, 1.0),
+    ("enhanced-clear", 0.5, 1.0),
+    ("enhanced-clear", 1.0, 1.0),
+    ("medium", 1.0, 1.0),
+    ("depth", 1.0, 1.0),
+];
 
 fn compare(browser: &mut Chromium, scene: &Scene, cameras: &[Camera], looks: &[(&str, f32, f32)]) {
     // The page's own picture is not needed here and would only cost time.
@@ -102,21 +124,7 @@ fn compare(browser: &mut Chromium, scene: &Scene, cameras: &[Camera], looks: &[(
 fn the_page_draws_what_the_program_draws() {
     let scene = scenes::scene("rbf", 3);
     let Some((mut browser, _dir)) = opened(&scene) else { return };
-    let looks = [
-        ("reconstruction", 1.0, 1.0),
-        ("reconstruction", 1.0, 0.5),
-        ("clear", 1.0, 1.0),
-        ("enhanced", 0.0, 1.0),
-        ("enhanced", 0.5, 1.0),
-        ("enhanced", 1.0, 1.0),
-        ("enhanced", 1.0, 0.25),
-        ("enhanced-clear", 0.0, 1.0),
-        ("enhanced-clear", 0.5, 1.0),
-        ("enhanced-clear", 1.0, 1.0),
-        ("medium", 1.0, 1.0),
-        ("depth", 1.0, 1.0),
-    ];
-    compare(&mut browser, &scene, &scenes::cameras(20, 320, 180), &looks);
+    compare(&mut browser, &scene, &scenes::cameras(20, 320, 180), &LOOKS);
 }
 
 #[test]
@@ -163,11 +171,11 @@ fn a_click_on_something_grey_balances_what_page_and_program_draw_alike() {
     browser.evaluate("document.getElementById('white-pick').click()");
     browser.evaluate(&format!(
         "(async () => {{
-            const canvas = document.getElementById('view'), view = use3d.scene.cameras[1], scale = canvas.clientHeight / view.height;
+            const canvas = document.getElementById('view'), view = use3d.scene.cameras[1];
             use3d.viewer.moved();
             await use3d.settled();
-            const wide = scale * view.lens[1] / view.lens[0]; // the page's pixels are square
-            await use3d.white.take(canvas.clientWidth / 2 + wide * ({x} + 0.5 - view.lens[2]), canvas.clientHeight / 2 + scale * ({y} + 0.5 - view.lens[3]));
+            const [f] = use3d.viewer.camera.pinhole(canvas.clientWidth, canvas.clientHeight).lens;
+            await use3d.white.take(canvas.clientWidth / 2 + f * ({x} + 0.5 - view.lens[2]) / view.lens[0], canvas.clientHeight / 2 + f * ({y} + 0.5 - view.lens[3]) / view.lens[1]);
         }})()"
     ));
     let line = browser.evaluate("document.getElementById('white-line').textContent");

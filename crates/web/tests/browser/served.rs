@@ -178,7 +178,7 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
         step: None,
     };
     live.hand_over(shown).expect("data");
-    browser.go(&format!("{},browser", server.address()));
+    browser.go(&format!("{},webgl", server.address()));
     browser.ready();
     let colours = "(() => { const gl = use3d.viewer.renderer.gl, p = new Uint8Array(4 * gl.drawingBufferWidth * gl.drawingBufferHeight); gl.readPixels(0, 0, gl.drawingBufferWidth, gl.drawingBufferHeight, gl.RGBA, gl.UNSIGNED_BYTE, p); return new Set(p).size; })()";
     browser.evaluate("use3d.settled()");
