@@ -1,6 +1,7 @@
 //! Tables of text whose first line names the columns: CSV as spreadsheets and other programs save it.
 //!
 //! Fields are separated by commas, semicolons or tabs; the first line decides. A field may stand in quotes.
+//! Where no comma separates fields and no number has a point, `1,5` is a number with a decimal comma.
 //! Empty lines, rows without any text and, after the first line, lines that begin with `#` do not count.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
@@ -57,6 +58,14 @@ impl TextTable {
             let line = place.advance(fields.position().map_or(0, csv::Position::byte));
             if fields.iter().any(|field| !field.is_empty()) {
                 rows.push(TextRow { line, fields });
+            }
+        }
+        let number = |field: &str| field.parse::<f64>().is_ok();
+        let points = |row: &TextRow| row.fields.iter().any(|field| field.contains('.') && number(field));
+        if separator != ',' && !rows.iter().any(points) {
+            for row in &mut rows {
+                let pointed = |field: &str| Some(field.replacen(',', ".", 1)).filter(|text| number(text));
+                row.fields = row.fields.iter().map(|f| pointed(f).unwrap_or_else(|| f.into())).collect();
             }
         }
         Ok(Self { first_line, columns, rows })
@@ -128,6 +137,18 @@ mod tests {
             assert_eq!((table.rows[0].number(1), table.rows[1].number(1)), (Some(1.5), Some(2.0)));
             assert_eq!((table.rows[1].get(2), table.rows[1].number(0)), ("", None));
         }
+    }
+
+    #[test]
+    fn a_decimal_comma_is_read_where_it_can_mean_nothing_else() {
+        let numbers = |text: &str| parsed(text).rows.iter().map(|row| row.number(1)).collect::<Vec<_>>();
+        assert_eq!(numbers("image;x\na,1.jpg;1,00\nb;-0,5\n"), [Some(1.0), Some(-0.5)]);
+        assert_eq!(parsed("image;x\na,1.jpg;1,00\n").rows[0].get(0), "a,1.jpg");
+        assert_eq!(numbers("image\tx\na\t2,25\n"), [Some(2.25)]);
+        // A point beside it: the comma may separate thousands.
+        assert_eq!(numbers("image;x\na;1,500\nb;2.5\n"), [None, Some(2.5)]);
+        assert_eq!(numbers("image;x\na;1,500,000\n"), [None]);
+        assert_eq!(numbers("image,x\na,\"1,5\"\n"), [None]);
     }
 
     #[test]
