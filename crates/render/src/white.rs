@@ -2,8 +2,9 @@
 //!
 //! **A place** (`patch`). The user states that a pixel of a photograph shows something grey or white. The
 //! scene is drawn from that photograph's camera, at a size whose longer side is at most [`LONGEST`] pixels,
-//! in `clear`, `enhanced` and `enhanced-clear`; the colour is the mean over the [`PATCH`] × [`PATCH`]
-//! pixels around it. Several places are averaged by their casts `u`, one vote each.
+//! in `clear`, `enhanced` and `enhanced-clear`. The colour is the median, channel by channel, of the
+//! [`PATCH`] × [`PATCH`] pixels around it, so a fleck does not count. Several places are averaged by their
+//! casts `u`, one vote each.
 //!
 //! **All surfaces** (`reef`, `grey`). Pixels of small pictures, where the scene is solid, become points by
 //! their depth. Points become voxels of side `0.012 ×` their median distance, each with one vote and its
@@ -37,7 +38,7 @@ use crate::modes::{Mode, Rendering, SceneRenderer};
 /// Largest number of pixels along the longer side of a picture in which a place is looked up.
 pub const LONGEST: usize = 1024;
 /// Number of pixels along the side of a patch.
-pub const PATCH: usize = 7;
+pub const PATCH: usize = 15;
 /// Solid share of a patch below which it shows water and not a surface.
 const SOLID: f32 = 0.5;
 /// Value below which a channel is only noise.
@@ -70,7 +71,7 @@ const GAMMA: f64 = 2.2;
 /// The colour of a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Patch {
-    /// Its mean colour in `clear`, `enhanced` and `enhanced-clear`, display values, unclamped.
+    /// Its median colour in `clear`, `enhanced` and `enhanced-clear`, display values, unclamped.
     pub colors: [[f64; 3]; 3],
     /// Its distance along the optical axis, scene units.
     pub depth: f64,
@@ -153,23 +154,23 @@ pub fn patch(renderer: &mut SceneRenderer<'_>, camera: &Camera, x: f64, y: f64) 
     let outside = WhiteError::Outside { x, y, width, height };
     let lattice = Lattice::subset(&columns, &rows).ok_or(outside)?;
     let frames = renderer.render_on(&small, &lattice, &MODES)?;
-    let mean = |frame: &Rendering| -> [f64; 3] {
+    let middle = |frame: &Rendering| -> [f64; 3] {
         let (data, pixels) = match frame {
             Rendering::Color(image) => (image.data(), image.pixels()),
             Rendering::Scalar(map) => (map.data(), map.pixels()),
         };
-        let mut means = [0.0; 3];
-        for (mean, channel) in means.iter_mut().zip(data.chunks(pixels.max(1))) {
-            *mean = channel.iter().map(|v| f64::from(*v)).sum::<f64>() / channel.len().max(1) as f64;
+        let mut middle = [0.0; 3];
+        for (value, channel) in middle.iter_mut().zip(data.chunks(pixels.max(1))) {
+            *value = median(channel.iter().copied()).map_or(f64::NAN, f64::from);
         }
-        means
+        middle
     };
-    let [depth, _, _] = mean(&frames[3]);
-    let [alpha, _, _] = mean(&frames[4]);
+    let [depth, _, _] = middle(&frames[3]);
+    let [alpha, _, _] = middle(&frames[4]);
     if alpha.is_nan() || alpha < f64::from(SOLID) {
         return Err(WhiteError::NoSurface);
     }
-    Ok(Patch { colors: [mean(&frames[0]), mean(&frames[1]), mean(&frames[2])], depth })
+    Ok(Patch { colors: [middle(&frames[0]), middle(&frames[1]), middle(&frames[2])], depth })
 }
 
 /// The cast of a colour that is assumed to be grey.
@@ -397,6 +398,20 @@ mod tests {
         for [r, g, b] in after.colors {
             assert!((r / g - 1.0).abs() < 1e-4 && (b / g - 1.0).abs() < 1e-4, "{r} {g} {b}");
         }
+    }
+
+    #[test]
+    fn a_fleck_under_the_click_does_not_count() {
+        let (mut scene, camera) = wall([0.5; 3]);
+        // A small red Gaussian in front of the wall, at the middle of the patch.
+        let middle = |m: &[f32; 3]| (m[0] + 0.2).abs() < 0.05 && m[1].abs() < 0.05;
+        let fleck = scene.gaussians.means.iter().position(middle).unwrap();
+        scene.gaussians.means[fleck][2] = 1.9;
+        scene.gaussians.log_scales[fleck] = [-4.0; 3];
+        scene.gaussians.sh[fleck][0] = [1.5, -1.5, -1.5];
+        let mut renderer = SceneRenderer::new(&scene, 1.0).unwrap();
+        let [[r, g, b], ..] = patch(&mut renderer, &camera, 50.0, 40.0).unwrap().colors;
+        assert!((r - 0.5).abs() < 0.02 && (g - 0.5).abs() < 0.02 && (b - 0.5).abs() < 0.02, "{r} {g} {b}");
     }
 
     #[test]

@@ -1,10 +1,10 @@
-// White balance by hand: a click on something grey or white. Its colour is the mean of a small patch of the
+// White balance by hand: a click on something grey or white. Its colour is the median of a small patch of the
 // scene, in each look that has gains. The patch is drawn from the nearest photograph that sees the place. The
 // gains make it grey: g = (G/R, 1, G/B); for several places they are the geometric mean. `use3d … --white
 // NAME:X,Y` does the same, and the page shows the line to paste. The balance is right only at the distance of
 // the place.
 
-const PATCH = 7, PATCH_LONGEST = 1024, PATCH_SOLID = 0.5, PATCH_DARK = 0.02, GAIN_RANGE = [0.2, 5], NEAR_VIEWS = 6;
+const PATCH = 15, PATCH_LONGEST = 1024, PATCH_SOLID = 0.5, PATCH_DARK = 0.02, GAIN_RANGE = [0.2, 5], NEAR_VIEWS = 6;
 const WHITE_LOOKS = ['clear', 'enhanced', 'enhanced-clear'];
 
 function makeWhite(viewer, server, picture) {
@@ -27,16 +27,16 @@ function makeWhite(viewer, server, picture) {
   white.measure = async (view, x, y) => {
     if (!viewer.drawsHere) return server.json('/patch', { page: server.page, camera: { eye: view.eye, rotation: view.rotation, lens: view.lens, width: view.width, height: view.height }, x, y, water });
     const { small, box } = patchOf(view, x, y);
-    const mean = (part, channel) => { let sum = 0; for (let i = channel; i < part.length; i += 4) sum += part[i]; return 4 * sum / part.length; };
+    const middle = (part, channel) => part.filter((_, i) => i % 4 === channel).sort((a, b) => a - b)[part.length >> 3];
     const depth = await picture(small, { mode: 'depth', strength: 1, water }, box);
-    if (!(mean(depth, 3) >= PATCH_SOLID)) return { problem: 'there is no surface, only water; choose a place on something solid' };
+    if (!(middle(depth, 3) >= PATCH_SOLID)) return { problem: 'there is no surface, only water; choose a place on something solid' };
     const colors = [];
     for (const mode of WHITE_LOOKS) {
       const shown = header.enhancement ? mode : mode === 'enhanced' ? 'reconstruction' : 'clear';
       const part = await picture(small, { mode: shown, strength: 1, water, white: null }, box);
-      colors.push([0, 1, 2].map(channel => mean(part, channel)));
+      colors.push([0, 1, 2].map(channel => middle(part, channel)));
     }
-    return { colors, depth: mean(depth, 0) };
+    return { colors, depth: middle(depth, 0) };
   };
 
   // The gains that remove the mean cast of places in one look, or the problem that prevents them.
