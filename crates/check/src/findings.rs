@@ -230,13 +230,13 @@ impl Rules {
             );
             self.add(serious_if(share < COVERED.1), "few", text, remedy, Vec::new());
         } else if angle < ANGLE {
-            let text = "The photographs see each point from nearly the same place, so distances are hardly determined.";
+            let text = "The photographs see each point from nearly the same place, so distances can hardly be measured.";
             let remedy = "move the camera sideways between photographs, by a tenth of the distance or more";
             self.add(Severity::Serious, "few", text, remedy, Vec::new());
         } else {
             self.good(
                 "few",
-                format!("{:.0} % of the points are in three photographs or more.", 100.0 * share),
+                format!("{:.0} % of the points are seen in three photographs or more.", 100.0 * share),
             );
         }
     }
@@ -245,16 +245,23 @@ impl Rules {
         let (train, test) = (import.train.len(), import.test.len());
         if test == 0 {
             let remedy = "leave `split.every` at 8, unless you need every photograph for the scene";
-            let text = "No view is held out, so the report can have no honest scores.";
+            let text = "No photograph is kept back, so the scene cannot be tested.";
             self.minor("split", text, remedy);
         } else if train < 8 {
-            let left = if train == 1 { "view is" } else { "views are" };
-            let text = format!("Only {train} {left} left for training, and {test} {} held out.", are(test));
-            let remedy = "take more photographs, or hold none out (`--set import.split.every=0`; the report then has no \
-                honest scores), or shorten test_list.txt";
+            let left = if train == 1 { "photograph is" } else { "photographs are" };
+            let text = format!(
+                "Only {train} {left} left to learn from, and {test} {} kept back for the test.",
+                are(test)
+            );
+            let remedy = "take more photographs, or keep none back (`--set import.split.every=0`; then nothing says how \
+                good the scene is), or shorten test_list.txt";
             self.add(Severity::Serious, "split", text, remedy, import.test.clone());
         } else {
-            let text = format!("{test} of {} views {} held out for the scores.", train + test, are(test));
+            let text = format!(
+                "{test} of {} photographs {} kept back: the scene is tested with them, and not learnt from them.",
+                train + test,
+                are(test)
+            );
             self.good("split", text);
         }
     }
@@ -293,8 +300,8 @@ impl Rules {
     fn model(&mut self, import: &ImportReport, figures: &Figures, water: Option<WaterSight<'_>>) {
         let lonely = names(&figures.views, |v| v.points < LONELY.0 || v.neighbours < LONELY.1);
         if figures.track_length == 0.0 {
-            let text = "The model has no tracks: it does not say which view sees which point, so the cameras and their \
-                overlap cannot be checked.";
+            let text = "The model does not say which photograph sees which point (it has no tracks), so the cameras and \
+                their overlap cannot be checked.";
             // In air, nothing is lost by that, and some programs export no tracks.
             let dry = matches!(water, Some(WaterSight::None(_)));
             let never = WITHOUT_TRACKS.contains(&&*import.model_form);
@@ -305,8 +312,8 @@ impl Rules {
                 }
                 OPENSFM => "put `tracks.csv` beside `reconstruction.json`",
                 _ => {
-                    "export the model with its tie points and projections; without them the water is learnt from \
-                    scratch"
+                    "export the cameras again, together with the tie points; without them the water cannot be measured \
+                    beforehand"
                 }
             };
             let severity = if dry || never { Severity::Note } else { Severity::Serious };
@@ -314,29 +321,33 @@ impl Rules {
             return;
         }
         if figures.points < 1000 {
-            let text = format!("There are only {} sparse points.", figures.points);
-            let remedy = "look for more features (`use3d prepare --features 8000`); the scene starts from these points";
+            let text = format!(
+                "Only {} points of the scene are known, and the scene starts from them.",
+                figures.points
+            );
+            let remedy =
+                "find the cameras again with `use3d prepare --features 8000`, which finds more points";
             self.add(Severity::Serious, "points", text, remedy, Vec::new());
         }
         if !lonely.is_empty() {
             let (count, all) = (lonely.len(), self.views);
             let text = match count {
                 1 => format!(
-                    "1 of {all} views shares few points with the others, so its camera position is uncertain."
+                    "1 of {all} photographs shares few points with the others, so its camera position is uncertain."
                 ),
                 _ => format!(
-                    "{count} of {all} views share few points with the others, so their camera positions are \
+                    "{count} of {all} photographs share few points with the others, so their camera positions are \
                      uncertain."
                 ),
             };
-            let remedy = "photograph the way to them more densely, or remove them from the folder of images";
+            let remedy = "take more photographs on the way to them, or remove them from the folder of images";
             self.add(serious_if(self.share(lonely.len()) > 0.1), "lonely", text, remedy, lonely);
         }
         if let [_, _, ..] = figures.parts.as_slice() {
             let sizes: Vec<String> = figures.parts.iter().map(usize::to_string).collect();
             let text = format!(
-                "The photographs fall into {} groups that share no points (of {} photographs), so nobody knows where one group \
-                 is against the others.",
+                "The photographs fall into {} groups that share no points (of {} photographs), so it is not known how far \
+                 the groups are apart.",
                 sizes.len(),
                 sizes.join(" and ")
             );
@@ -344,7 +355,7 @@ impl Rules {
             self.add(Severity::Serious, "parts", text, remedy, Vec::new());
         }
         if figures.track_length < 3.0 {
-            let text = format!("A point is seen in {:.1} views only.", figures.track_length);
+            let text = format!("On average a point is seen in only {:.1} photographs.", figures.track_length);
             let remedy = "let neighbouring photographs overlap by 70 % or more";
             self.minor("overlap", text, remedy);
         }
@@ -352,8 +363,8 @@ impl Rules {
             && forward > TUNNEL.0
             && breadth < TUNNEL.1
         {
-            let text = "The camera moves along one line in its own viewing direction, so distances are hardly \
-                determined.";
+            let text = "The camera swims straight ahead in the direction in which it looks, so distances can hardly be \
+                measured.";
             self.add(Severity::Serious, "path", text, "swim sideways along the scene as well", Vec::new());
         }
     }
@@ -442,15 +453,15 @@ impl Rules {
         let others = list(&|v| unlike(v) && !blurred.contains(&v.name));
         if !others.is_empty() {
             let text = format!(
-                "{} of {read} photographs do not match their cameras: they are turned, are other photographs under the \
-                 same names, or their cameras are wrong.",
+                "{} of {read} photographs do not show what their cameras should see: they are turned, or other photographs \
+                 have their names, or the camera positions are wrong.",
                 others.len()
             );
             let remedy = "put back the photographs that the cameras were found from, unturned and under their own names, \
                 or find the cameras again with `use3d prepare`";
             self.add(Severity::Serious, "photographs", text, remedy, others);
         } else if read > 0 {
-            self.good("photographs", "The photographs match their cameras.");
+            self.good("photographs", "The photographs show what their cameras should see.");
         }
     }
 
@@ -483,7 +494,8 @@ impl Rules {
     /// The error of the sightings, and the cameras that cause it.
     fn error(&mut self, error: f64, agreement: &ModelAgreement) {
         let text = format!(
-            "Points land {error:.2} pixels beside the places where they were seen (the reprojection error, measured)"
+            "The cameras fit the photographs to {error:.2} pixels; below {:.0} is good (the reprojection error)",
+            ERROR.0
         );
         let changed = agreement.stated.filter(|stated| error > CHANGED.0 * stated + CHANGED.1);
         if agreement.states_none {
@@ -492,10 +504,11 @@ impl Rules {
         }
         if let Some(stated) = changed {
             let text = format!(
-                "{text}. The model's file says {stated:.2}, so its cameras, lens or points are not those of that \
-                 calculation."
+                "{text}. The file of the cameras says {stated:.2}, so something in it was changed afterwards: cameras, lens \
+                 or points."
             );
-            let remedy = "take the model as its program wrote it, or let that program adjust it again";
+            let remedy =
+                "take the file as its program wrote it, or let that program compute the cameras again";
             self.add(Severity::Serious, "error", text, remedy, Vec::new());
         } else if error > ERROR.0 {
             let text = format!("{text}: the lens model fits badly.");
@@ -517,7 +530,7 @@ impl Rules {
             .collect();
         if !misplaced.is_empty() && usual.is_finite() {
             let text = format!(
-                "The cameras of {} of {} views do not fit the points that they saw.",
+                "The camera positions of {} of {} photographs do not fit what these show.",
                 misplaced.len(),
                 self.views
             );
@@ -532,9 +545,9 @@ impl Rules {
                 self.good("scale", format!("The scale is known: one unit of the model is {metres:.4} m."));
             }
             None => {
-                let text = "The scale is not known: distances and the water are in units of the model.";
-                let remedy = "nothing, if you need no metres; otherwise measure one length in the photographs \
-                    (docs/guide/metres.md)";
+                let text = "It is not known how long a metre is in the scene.";
+                let remedy =
+                    "nothing, if you measure nothing; otherwise give one known length (docs/guide/metres.md)";
                 self.note("scale", text, remedy);
             }
         }
@@ -546,17 +559,16 @@ impl Rules {
         }
         // Maps that are there and left out have a finding of their own.
         if import.depth_priors == 0 && import.depth_folder.is_none() {
-            let text = "There are no depth maps to help the training.";
-            let remedy = "put the weights of Depth Anything V2 into the models folder (`use3d models`), if you may use \
-                them";
+            let text = "There are no depth maps. They are optional.";
+            let remedy =
+                "nothing; a network can make them, which helps a little (`use3d models` says how to get it)";
             self.note("depth", text, remedy);
         }
         let hidden = names(&figures.views, |v| v.unmasked.is_some_and(|share| share < UNMASKED));
         if !hidden.is_empty() {
             let (count, all) = (hidden.len(), self.views);
-            let text = format!("The masks of {count} of {all} views leave almost no pixel.");
-            let remedy =
-                "masks are white where pixels count and black elsewhere: invert them, or remove them";
+            let text = format!("The masks hide nearly everything in {count} of {all} photographs.");
+            let remedy = "a mask is black on divers and fish, and white elsewhere: exchange black and white, or remove them";
             self.add(serious_if(self.share(hidden.len()) > 0.1), "masks", text, remedy, hidden);
         }
         if let Some(text) = import.misnamed_masks() {
@@ -565,7 +577,7 @@ impl Rules {
         } else if !import.unmasked.is_empty() {
             let (count, all) = (import.unmasked.len(), self.views);
             let have = if count == 1 { "has" } else { "have" };
-            let text = format!("{count} of {all} views {have} no mask, so all of their pixels count.");
+            let text = format!("{count} of {all} photographs {have} no mask, so nothing in them is hidden.");
             let remedy =
                 "give them a mask too, with the name of the photograph, if a fish or a diver is in them";
             self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());

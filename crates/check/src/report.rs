@@ -115,7 +115,7 @@ impl fmt::Display for CheckReport {
         for (i, finding) in self.faults().enumerate() {
             writeln!(f, "\n{:>2}. {}: {}", i + 1, finding.severity.word(), finding.text)?;
             if !finding.views.is_empty() {
-                writeln!(f, "    views: {}", finding.names())?;
+                writeln!(f, "    photographs: {}", finding.names())?;
             }
             if !finding.remedy.is_empty() {
                 writeln!(f, "    do this: {}", finding.remedy)?;

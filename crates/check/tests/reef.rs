@@ -142,15 +142,17 @@ fn few_views_for_training_get_advice_that_changes_something() {
     }
     reef.report.test.truncate(1);
     let said = reef.examine().to_string();
-    assert!(said.contains("Only 7 views are left for training, and 1 is held out."), "{said}");
+    assert!(
+        said.contains("Only 7 photographs are left to learn from, and 1 is kept back for the test."),
+        "{said}"
+    );
     let mut reef = Reef::new();
     reef.report.test.truncate(1);
     reef.report.missing = vec!["v_99.png".into()];
     let said = reef.examine().to_string();
-    for part in [
-        "1 of 22 views is held out for the scores.",
-        "1 photograph that the model names is not in the folder.",
-    ] {
+    for part in
+        ["1 of 22 photographs is kept back", "1 photograph that the model names is not in the folder."]
+    {
         assert!(said.contains(part), "{said} lacks {part}");
     }
     // One view in 8 is held out without any setting.
@@ -230,7 +232,7 @@ fn masks_with_other_names_than_the_photographs_and_views_without_a_mask_are_said
     assert_eq!(of(&report, "unmasked").0, Severity::Minor);
     let text = report.to_string();
     assert!(
-        text.contains("2 of 24 views have no mask") && text.contains("views: v_04.png, v_09.png"),
+        text.contains("2 of 24 photographs have no mask") && text.contains("photographs: v_04.png, v_09.png"),
         "{text}"
     );
     assert!(report.gravest(3).is_empty(), "a picture does not suffer from it");
@@ -352,7 +354,7 @@ fn what_moves_through_two_views_is_named() {
         (Severity::Minor, vec!["v_07.png".to_string(), "v_17.png".to_string()])
     );
     let text = report.to_string();
-    assert!(text.contains("through 2 of 23 views (most in v_17.png, v_07.png)"), "{text}");
+    assert!(text.contains("through 2 of 23 photographs (most in v_17.png, v_07.png)"), "{text}");
     let none = |report: &CheckReport| report.findings.iter().all(|f| f.subject != "moving");
     assert!(none(&with(&|view| Some(usize::from(view == 7)), None)));
     assert!(none(&with(&|_| None, None)));

@@ -23,6 +23,8 @@ const SLOWER: f64 = 1.5;
 /// Draws events.
 pub(crate) struct Terminal {
     quiet: bool,
+    /// True if details are shown.
+    verbose: bool,
     bars: Option<MultiProgress>,
     nodes: Mutex<BTreeMap<String, NodeProgress>>,
     /// The numbers of stages that are over and of all stages, as words for the next line of a log.
@@ -71,10 +73,10 @@ impl NodeProgress {
 
 impl Terminal {
     /// Uses progress bars if stderr is a terminal.
-    pub(crate) fn new(quiet: bool) -> Self {
+    pub(crate) fn new(quiet: bool, verbose: bool) -> Self {
         let bars = (!quiet && std::io::stderr().is_terminal())
             .then(|| MultiProgress::with_draw_target(ProgressDrawTarget::stderr_with_hz(8)));
-        Self { quiet, bars, nodes: Mutex::default(), counted: Mutex::default() }
+        Self { quiet, verbose, bars, nodes: Mutex::default(), counted: Mutex::default() }
     }
 
     /// Prints a line above the bars, with terminal control characters escaped.
@@ -170,7 +172,7 @@ impl Listener for Terminal {
             | Event::AsksForView { .. }
             | Event::View { .. } => {}
             _ if self.quiet => {}
-            Event::Started { label, .. } => self.line(&format!("{label}: started")),
+            Event::Started { label, about, .. } => self.line(&format!("{label}: {about}")),
             Event::Progress { label, done, total, unit, message, seconds_left, .. } => {
                 let words =
                     if message.is_empty() { (*unit).to_string() } else { format!("{unit}, {message}") };
@@ -193,7 +195,10 @@ impl Listener for Terminal {
                     self.line(&format!("{label}: done in {seconds:.1} s{counted}"));
                 }
             }
-            Event::Note { label, text } => self.line(&format!("{label}: {text}")),
+            Event::Detail { .. } if !self.verbose => {}
+            Event::Note { label, text } | Event::Detail { label, text } => {
+                self.line(&format!("{label}: {text}"))
+            }
         }
     }
 }

@@ -62,7 +62,7 @@ fn main() -> ExitCode {
     if let Err(error) = rayon::ThreadPoolBuilder::new().num_threads(threads).build_global() {
         tracing::debug!("thread pool: {error}");
     }
-    let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet));
+    let listener: Arc<dyn Listener> = Arc::new(listener::Terminal::new(cli.quiet, cli.verbose > 0));
     let app = App { quiet: cli.quiet, host: Host { threads, stop: interrupt::install(), listener } };
     let done = run(&app, cli.verb).and_then(|()| match output::failure() {
         Some(reason) => Err(WorkError::Failed(format!("cannot write to standard output: {reason}"))),
@@ -109,7 +109,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Render(args) => verbs::render::run(app, &args),
         Verb::Photographs(args) => verbs::photographs::run(app, &args),
         Verb::View(args) => verbs::view::run(app, &args),
-        Verb::White(args) => verbs::white::run(app, &args),
+        Verb::White(args) => verbs::keep_white::run(app, &args),
         Verb::Export(args) => verbs::export::run(app, &args),
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),

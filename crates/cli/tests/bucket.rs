@@ -58,7 +58,7 @@ fn what_one_machine_computed_is_in_the_bucket_for_others() {
     let said = lab.done("pull", "second", &store, &["--all-or-fail"]);
     assert!(lab.many.artifacts("second") == whole, "{said}");
     let said = lab.done("run", "third", &store, &["--out", "out-third"]);
-    assert!(said.contains(" 0 done,") && lab.many.artifacts("third") == whole, "{said}");
+    assert!(said.contains(" 0 stages done,") && lab.many.artifacts("third") == whole, "{said}");
     assert_eq!(lab.many.scores("out-third".as_ref()).len(), 2);
     // From a cache into another bucket, and once more.
     lab.done("push", "second", &other, &["--all-or-fail"]);

@@ -35,7 +35,7 @@ fn the_cache_of_the_pipelines_to_keep_is_the_one_that_is_cleaned() {
     assert!(code == Some(0) && said.contains("import-of-old") && !leftover.exists(), "{said}");
     assert!(said.contains("more than the 1.0 kB of --max-bytes"), "{said}");
     let (code, said) = use3d(dir, &["plan", "one.toml"]);
-    assert!(code == Some(0) && said.contains("1 cached"), "what is kept was removed: {said}");
+    assert!(code == Some(0) && said.contains("1 kept from before"), "what is kept was removed: {said}");
 
     let two = ["gc", "--older-than", "1d", "--keep", "one.toml", "--keep", "two.toml"];
     let (code, said) = use3d(dir, &two);

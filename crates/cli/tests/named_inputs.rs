@@ -43,8 +43,8 @@ fn the_plan_of_every_shipped_pipeline_names_the_pairs_that_are_missing() {
         };
         // The ablation of stage 1 learns from no pairs.
         let learns = name != "ablation-stage1.toml";
-        assert!(learns || !err.contains("the pairs of images"), "{err}");
-        let pairs = learns.then(|| line("the pairs of images"));
+        assert!(learns || !err.contains("the pairs of pictures"), "{err}");
+        let pairs = learns.then(|| line("the pairs of pictures"));
         for word in ["`calibrator.pairs.input` in ", name, "UIEB is not set", "docs/reference/datasets.md"] {
             assert!(pairs.as_ref().is_none_or(|line| line.contains(word)), "{name}: {pairs:?}");
         }
@@ -116,7 +116,7 @@ fn the_log_says_which_depth_prior_is_in_force_and_why() {
     let mut said = |sets: &[&str]| {
         count += 1;
         let out = format!("scene-{count}");
-        let mut arguments = vec!["reconstruct", "reef", "--out", &out, "--set", "iterations=2"];
+        let mut arguments = vec!["-v", "reconstruct", "reef", "--out", &out, "--set", "iterations=2"];
         sets.iter().for_each(|set| arguments.extend(["--set", set]));
         expect(0, at, &arguments).1
     };

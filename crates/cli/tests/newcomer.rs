@@ -1,6 +1,6 @@
-//! A newcomer's first day in more than 25 commands: version, demo, own capture, wrong folders and flags,
-//! quick look, pairs, second experiment, compare, view, export. Each message is compared word for word with
-//! `snapshots/newcomer.txt`; `USE3D_UPDATE_SNAPSHOTS=1` writes that file again.
+//! A newcomer's first day in more than 40 commands: version, demo, own capture, wrong folders and flags,
+//! quick look, pairs, second experiment, compare, white balance, view, export. Each message is compared word
+//! for word with `snapshots/newcomer.txt`; `USE3D_UPDATE_SNAPSHOTS=1` writes that file again.
 //!
 //! Amounts of time, memory and disk differ from run to run, so `#` stands for them.
 
@@ -72,8 +72,11 @@ fn a_newcomer_gets_through_the_first_day() {
     day.step(2, &["run", "notes.txt"]);
     day.step(2, &["run", "dive.mp4"]);
 
+    day.step(0, &["run", "dive.mp4", "--dry-run"]);
+
     // The newcomer's own capture.
     day.step(0, &["synth", "capture", "--out", "my-reef", "--views", "12", "--size", "192x128"]);
+    day.step(2, &["my-reef"]);
     day.step(2, &["run", "my-reef/images"]);
     day.step(0, &["check", "my-reef"]);
     day.step(0, &["water", "my-reef"]);
@@ -99,20 +102,56 @@ fn a_newcomer_gets_through_the_first_day() {
     // A second experiment, and both side by side.
     day.run(&["--set", "enhance.lambda_variation=0.001", "--out", "second"]);
     day.step(0, &["results", "my-reef"]);
+    day.step(0, &["results", "my-reef", "1"]);
+    day.step(0, &["results", "my-reef"]);
     day.step(0, &["compare", "use3d-out/my-reef", "second"]);
-    assert!(day.has("compare.html"));
+    day.step(0, &["compare", "my-reef:1", "my-reef:2"]);
+    day.step(2, &["compare", "my-reef:3", "second"]);
+    day.step(0, &["compare", "use3d-out/demo", "second"]);
+    let pages = ["my-reef-second", "my-reef-1-my-reef-2", "demo-second"];
+    assert!(pages.iter().all(|name| day.has(&format!("compare-{name}.html"))));
+
+    // Colours. The page of the results has them at once.
+    let view = day.folder.path().join("second/my-reef/view.html");
+    let page = || std::fs::read_to_string(&view).expect("a page");
+    let before = page();
+    day.step(2, &["white", "second", "nofoto.jpg:40,30"]);
+    day.step(0, &["white", "second", "frame_0002.png:96,100"]);
+    assert!(!before.contains(r#""method":"patch""#) && page().contains(r#""method":"patch""#));
+    day.step(0, &["white", "second", "grey"]);
+    day.step(0, &["white", "second", "off"]);
+    assert_eq!(page(), before);
 
     // View and export.
-    let mut view = day.command(&["view", "second", "--no-open"]);
-    let mut view = Ended(view.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts"));
-    let viewer = Viewer::of(view.0.stdout.take().expect("a pipe"));
-    assert_eq!(viewer.header()["cameras"].as_array().map(Vec::len), Some(12));
-    drop(view);
+    for (shown, points) in [("second", false), ("my-reef", true)] {
+        let mut view = day.command(&["view", shown, "--no-open"]);
+        let mut view = Ended(view.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts"));
+        let header = Viewer::of(view.0.stdout.take().expect("a pipe")).header();
+        assert_eq!(header["cameras"].as_array().map(Vec::len), Some(12));
+        assert_eq!(header["points"], points);
+    }
     day.step(0, &["export", "second", "--ply", "reef.ply"]);
     day.step(2, &["export", "second", "--ply", "reef.ply"]);
+    day.step(2, &["export", "second", "--ply", "metres.ply", "--frame", "metric"]);
+    day.step(0, &["export", "second", "--ply", "strong.ply", "--what", "enhanced-clear"]);
     day.step(0, &["export", "second", "--web", "reef.html"]);
     day.step(0, &["render", "second", "--out", "pictures"]);
+    day.step(0, &["render", "second", "--out", "pictures-2", "--modes", "enhanced-clear"]);
     assert!(["reef.ply", "reef.html", "pictures"].iter().all(|name| day.has(name)));
+    day.step(2, &["render", "my-reef", "--out", "pictures-3"]);
+    day.step(0, &["import", "my-reef", "--out", "prepared", "--max-side", "96"]);
+
+    // A table of lengths by a German spreadsheet: its numbers are read.
+    let table = "length;metres;image;x1;y1;x2;y2\nrod;1,00;frame_0001.png;10,5;20;30;20\nrod;1,00;frame_9.png;1;2;3;4\n";
+    std::fs::write(day.folder.path().join("my-reef/lengths.csv"), table).expect("a file");
+    let refused = day.command(&["check", "my-reef"]).output().expect("the command starts");
+    let said = String::from_utf8_lossy(&refused.stderr);
+    assert!(said.contains("lengths.csv: line 3: `image` is frame_9.png, which has no camera"), "{said}");
+
+    // No driver speaks in between.
+    let doctor = day.command(&["doctor"]).output().expect("the command starts");
+    assert!(doctor.status.success() && doctor.stderr.is_empty() && doctor.stdout.starts_with(b"use3d 0."));
+    assert!(day.printed.matches("\n$ use3d ").count() >= 40);
 
     compare("newcomer", &day.printed);
 }

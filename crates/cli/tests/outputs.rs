@@ -288,7 +288,7 @@ fn a_run_replaces_its_own_results_and_refuses_what_others_put_there() {
     place.write("dl/cap/scene/reef.blend", "mine");
     let before = place.all();
     let said = run(2, "reconstruct.iterations=2");
-    assert!(said.contains("dl/cap/scene") && !said.contains("reconstruct: started"), "{said}");
+    assert!(said.contains("dl/cap/scene") && !said.contains("reconstruct: learn"), "{said}");
     let without_cache = |all: Vec<(PathBuf, Vec<u8>)>| -> Vec<_> {
         all.into_iter().filter(|(path, _)| !path.starts_with(place.at("cache"))).collect()
     };
@@ -297,7 +297,7 @@ fn a_run_replaces_its_own_results_and_refuses_what_others_put_there() {
     // The tables of all scenes would lie among the results of this one.
     place.capture("tables");
     let said = place.expect(2, &["run", "tables", "--cache", "cache", "--out", "dl"]);
-    assert!(said.contains("rename the scene") && !said.contains("import: started"), "{said}");
+    assert!(said.contains("rename the scene") && !said.contains("import: read"), "{said}");
 
     std::fs::remove_dir_all(place.at("dl/cap/scene")).expect("removed");
     run(0, "reconstruct.iterations=2");

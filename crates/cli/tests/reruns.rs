@@ -99,6 +99,6 @@ fn a_change_reruns_its_stage_and_what_reads_the_changed_output() {
     std::fs::rename(place.dir.path().join("tiny"), place.dir.path().join("elsewhere/tiny")).expect("moved");
     let moved = place.run("elsewhere/tiny", "cache", &[]).args(["--threads", "1"]).output().expect("runs");
     let text = String::from_utf8_lossy(&moved.stdout);
-    let cached = format!("0 done, {} cached", all.len());
+    let cached = format!("0 stages done, {} kept from before", all.len());
     assert!(moved.status.success() && text.contains(&cached), "{text}");
 }

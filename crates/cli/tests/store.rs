@@ -48,7 +48,7 @@ fn what_was_computed_in_one_cache_is_fetched_into_another() {
     assert!(many.artifacts("second") == whole);
     // Another machine's run also finds all of it, computes nothing, and delivers results.
     let (code, said) = ended(command("run", "third", &["--out", "out-third"]));
-    assert!(code == Some(0) && said.contains(" 0 done,"), "{said}");
+    assert!(code == Some(0) && said.contains(" 0 stages done,"), "{said}");
     assert!(many.artifacts("third") == whole && many.scores("out-third".as_ref()).len() == 1);
 
     // The store's disk rots: fetching detects it, and checking repairs it.
@@ -127,7 +127,7 @@ fn a_store_is_listed_cleaned_up_and_only_read() {
     assert_eq!(command("pull", "second", &[]).0, Some(0));
     let there = tiny::files(store.as_ref());
     let (code, said) = command("run", "third", &["--cache-only", "--remote-read-only"]);
-    assert!(code == Some(0) && said.contains(" 1 done,"), "{said}");
+    assert!(code == Some(0) && said.contains(" 1 stage done,"), "{said}");
     assert!(tiny::files(store.as_ref()) == there, "nothing was sent");
 
     let (code, said) = of_store(&["ls"]);

@@ -635,7 +635,10 @@ fn status_counts_and_chooses_and_a_run_that_only_gathers_names_what_is_missing()
     let (code, text) = asked(&["run"], &["--cache-only", "--keep-going"]);
     assert_eq!(code, Some(1), "{text}");
     let (code, text) = asked(&["run"], &["--gather", "--keep-going", "--out", "out"]);
-    assert!(code == Some(1) && text.contains(" 0 done,") && many.at("out/s1/scores").exists(), "{text}");
+    assert!(
+        code == Some(1) && text.contains(" 0 stages done,") && many.at("out/s1/scores").exists(),
+        "{text}"
+    );
     let (code, text) = asked(&["status"], &["--summary"]);
     let import = text.lines().find(|line| line.starts_with("import")).unwrap_or_default();
     let counts: Vec<&str> = import.split_whitespace().collect();

@@ -128,6 +128,8 @@ fn scenes_and_captures_are_looked_at_and_bad_cases_are_said() {
     assert!(
         header["name"] == "tiny" && header["medium"]["kind"] == "none" && header["count"].as_u64() > Some(10)
     );
+    // The page shows the cameras, and says that these points are no scene yet.
+    assert_eq!((&header["points"], header["cameras"].as_array().map(Vec::len)), (&json!(true), Some(9)));
 
     let taken = TcpListener::bind(("127.0.0.1", 0)).expect("a port");
     let port = taken.local_addr().expect("an address").port().to_string();

@@ -107,7 +107,7 @@ pub(crate) fn fault(groups: &[Vec<usize>], views: &[View], counted: bool) -> Opt
         })
         .collect();
     let split = match counted {
-        true => "The copies of held-out photographs are held out, too",
+        true => "The copies of photographs that are kept back are kept back, too",
         false => {
             "The lists of the split may hold out a photograph whose copy is learnt, so scores are too good"
         }

@@ -32,7 +32,7 @@ pub enum ImportError {
     },
     /// No model in any of the usual places.
     #[error(
-        "{}: no model of COLMAP or another program found (looked in {looked}); {hint}",
+        "{}: no camera positions found: {hint} (no model of COLMAP or another program found in {looked})",
         path.display()
     )]
     NoModel {

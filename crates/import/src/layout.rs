@@ -199,7 +199,7 @@ fn instead_of_a_model(root: &Path) -> String {
         );
     }
     if names.is_empty() {
-        return "the folder is empty; give the one that holds images/ and sparse/".into();
+        return "the folder is empty; give a folder with photographs, or a film".into();
     }
     let set = "name its folder with `--set model_dir=DIR` (`--set import.model_dir=DIR` in `use3d run`)";
     format!("{set}, or run COLMAP on the images first")

@@ -175,73 +175,118 @@ impl ImportReport {
     }
 }
 
-impl fmt::Display for ImportReport {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        writeln!(f, "capture {}: {} views, {} sparse points", shown(&self.name), self.views, self.points)?;
+impl ImportReport {
+    /// The report in lines, each with true if it is a detail for experts.
+    pub fn lines(&self) -> Vec<(bool, String)> {
+        const DETAIL: bool = true;
         let (model, form) = (shown(&self.model), shown(&self.model_form));
-        write!(f, "  model {model} ({form}), {} images listed", self.registered)?;
-        if !self.other_models.is_empty() {
-            write!(f, "; other models, not used: {}", list(&self.other_models))?;
-        }
-        write!(f, "\n  images from {}", shown(&self.image_folder))?;
-        if !self.other_image_folders.is_empty() {
-            write!(f, "; not used: {}", list(&self.other_image_folders))?;
-        }
-        writeln!(f)?;
+        let mut lines = vec![(
+            !DETAIL,
+            format!(
+                "{}: {}, and {} points of the scene are known from them",
+                shown(&self.name),
+                counted(self.views, "photograph has a camera", "photographs have a camera"),
+                self.points
+            ),
+        )];
+        let mut add = |detail: bool, text: String| lines.push((detail, text));
+        let others = |names: &[String], what: &str| match names {
+            [] => String::new(),
+            names => format!("; {what}: {}", list(names)),
+        };
+        let unused = others(&self.other_models, "other models, not used");
+        add(DETAIL, format!("model {model} ({form}), {} images listed{unused}", self.registered));
+        let unused = others(&self.other_image_folders, "not used");
+        add(DETAIL, format!("images from {}{unused}", shown(&self.image_folder)));
         if !self.missing.is_empty() {
-            let count = counted(self.missing.len(), "listed image is", "listed images are");
-            writeln!(f, "  {count} not there, skipped: {}", some(&self.missing))?;
+            let count =
+                counted(self.missing.len(), "photograph of the model is", "photographs of the model are");
+            add(!DETAIL, format!("{count} not in the folder, so left out: {}", some(&self.missing)));
         }
         if !self.stray.is_empty() {
-            let count = counted(self.stray.len(), "image lies", "images lie");
-            writeln!(f, "  {count} far away from all others by the model, left out: {}", some(&self.stray))?;
+            let count = counted(self.stray.len(), "photograph", "photographs");
+            let far = "stands far away from all others in the model, so left out";
+            add(!DETAIL, format!("{count}: {far}: {}", some(&self.stray)));
         }
         for (name, reason) in self.unusable.iter().take(6) {
-            writeln!(f, "  left out: {}: {}", shown(name), shown(reason))?;
+            add(!DETAIL, format!("left out: {}: {}", shown(name), shown(reason)));
         }
         if self.unusable.len() > 6 {
-            writeln!(f, "  and {} more photographs that cannot be used", self.unusable.len() - 6)?;
+            add(!DETAIL, format!("and {} more photographs that cannot be used", self.unusable.len() - 6));
         }
         if !self.extra.is_empty() {
-            let count = counted(self.extra.len(), "image is", "images are");
-            writeln!(f, "  {count} not in the model, not used: {}", some(&self.extra))?;
+            let count = counted(self.extra.len(), "photograph has", "photographs have");
+            add(!DETAIL, format!("{count} no camera, so left out: {}", some(&self.extra)));
         }
         for camera in self.cameras.iter().take(6) {
-            writeln!(f, "  {camera}")?;
+            add(DETAIL, camera.to_string());
         }
         if self.cameras.len() > 6 {
-            writeln!(f, "  and {} more cameras", self.cameras.len() - 6)?;
+            add(DETAIL, format!("and {} more cameras", self.cameras.len() - 6));
+        }
+        if let Some(CameraReport { size: [w, h], .. }) =
+            self.cameras.iter().find(|camera| camera.is_resized())
+        {
+            add(!DETAIL, format!("the photographs are used at a smaller size, {w} × {h} pixels"));
         }
         if self.masks + self.alpha_masks > 0 {
-            writeln!(f, "  masks: {} files, {} alpha channels", self.masks, self.alpha_masks)?;
+            let masks =
+                counted(self.masks + self.alpha_masks, "photograph has a mask", "photographs have a mask");
+            add(!DETAIL, masks);
         }
         if !self.unmasked.is_empty() {
-            let count = counted(self.unmasked.len(), "view has", "views have");
-            writeln!(f, "  note: {count} no mask: {}", some(&self.unmasked))?;
+            let count = counted(self.unmasked.len(), "photograph has", "photographs have");
+            add(!DETAIL, format!("note: {count} no mask: {}", some(&self.unmasked)));
         }
         if let Some(misnamed) = self.misnamed_masks() {
-            writeln!(f, "  note: {misnamed} Give each mask the name of its photograph")?;
+            add(!DETAIL, format!("note: {misnamed} Give each mask the name of its photograph"));
         }
         if let Some(folder) = &self.depth_folder {
-            let folder = shown(folder);
-            writeln!(f, "  depth priors: {} of {} views, from {folder}", self.depth_priors, self.views)?;
+            let (folder, with) = (shown(folder), self.depth_priors);
+            add(DETAIL, format!("depth maps: {with} of {} photographs have one, from {folder}", self.views));
         }
-        let (rule, train, test) = (shown(&self.split_rule), self.train.len(), self.test.len());
-        writeln!(f, "  split: {rule}: {train} train, {test} test ({})", some(&self.test))?;
-        if self.normalised {
-            let colmap = form == "binary" || form == "text";
-            let unit = if colmap { "COLMAP unit" } else { "unit of the model" };
-            writeln!(f, "  frame: normalised, 1 {unit} is {:.6}", self.scale)?;
-        } else {
-            writeln!(f, "  frame: as in the model")?;
-        }
+        let (train, test) = (self.train.len(), self.test.len());
+        add(DETAIL, format!("split: {}: {train} train, {test} test", shown(&self.split_rule)));
+        let kept_back = match test {
+            0 => "no photograph is kept back, so the scene cannot be tested".into(),
+            n => format!(
+                "{} kept back: the scene is not learnt from them, but tested with them: {}",
+                counted(n, "photograph is", "photographs are"),
+                some(&self.test)
+            ),
+        };
+        add(!DETAIL, kept_back);
+        let unit = if form == "binary" || form == "text" { "COLMAP unit" } else { "unit of the model" };
+        add(
+            DETAIL,
+            match self.normalised {
+                true => format!("frame: normalised, 1 {unit} is {:.6}", self.scale),
+                false => "frame: as in the model".into(),
+            },
+        );
         if let Some(overlay) = &self.overlay {
-            writeln!(f, "  {}", overlay.note())?;
+            add(!DETAIL, overlay.note());
         }
         if let Some([r, g, b]) = self.white_balance {
-            writeln!(f, "  white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}")?;
+            add(DETAIL, format!("white balance: R x {r:.3}, G x {g:.3}, B x {b:.3}"));
         }
-        self.faults.iter().chain(&self.notes).try_for_each(|note| writeln!(f, "  note: {}", shown(note)))
+        for note in self.faults.iter().chain(&self.notes) {
+            add(!DETAIL, format!("note: {}", shown(note)));
+        }
+        lines
+    }
+}
+
+impl fmt::Display for ImportReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.lines().iter().try_for_each(|(_, line)| writeln!(f, "{line}"))
+    }
+}
+
+impl CameraReport {
+    /// True if its photographs are used at another size than that of their files.
+    fn is_resized(&self) -> bool {
+        self.undistorted_size.unwrap_or(self.file_size) != self.size
     }
 }
 
@@ -255,7 +300,7 @@ impl fmt::Display for CameraReport {
         if let Some([uw, uh]) = self.undistorted_size {
             write!(f, ", undistorted to {uw}x{uh}")?;
         }
-        if self.undistorted_size.unwrap_or(self.file_size) != self.size {
+        if self.is_resized() {
             write!(f, ", resized to {ow}x{oh}")?;
         }
         Ok(())
@@ -282,10 +327,16 @@ mod tests {
                 .to_string()
         };
         let text = report(&["a.jpg"], &["b.jpg"]);
-        assert!(text.contains("1 image is not in the model, not used: a.jpg"), "{text}");
-        assert!(text.contains("1 listed image is not there, skipped: b.jpg"), "{text}");
+        assert!(text.contains("1 photograph has no camera, so left out: a.jpg"), "{text}");
+        assert!(
+            text.contains("1 photograph of the model is not in the folder, so left out: b.jpg"),
+            "{text}"
+        );
         let text = report(&["a.jpg", "c.jpg"], &["b.jpg", "d.jpg"]);
-        assert!(text.contains("2 images are not in the model, not used: a.jpg, c.jpg"), "{text}");
-        assert!(text.contains("2 listed images are not there, skipped: b.jpg, d.jpg"), "{text}");
+        assert!(text.contains("2 photographs have no camera, so left out: a.jpg, c.jpg"), "{text}");
+        assert!(
+            text.contains("2 photographs of the model are not in the folder, so left out: b.jpg, d.jpg"),
+            "{text}"
+        );
     }
 }

@@ -479,7 +479,7 @@ fn masks_without_effect_and_views_without_a_mask_are_noted() {
     fixture.names[1..].iter().for_each(|name| mask(name));
     let report = fixture.import(&ImportParams::default()).unwrap().report;
     assert_eq!((&report.unmasked, report.misnamed_masks()), (&vec![fixture.names[0].clone()], None));
-    assert!(report.to_string().contains("note: 1 view has no mask: dive 0/f00.png\n"), "{report}");
+    assert!(report.to_string().contains("note: 1 photograph has no mask: dive 0/f00.png\n"), "{report}");
     let stored = serde_json::to_string(&report).unwrap();
     assert!(!stored.contains("extra.png") && !stored.contains("unmasked"), "{stored}");
 }

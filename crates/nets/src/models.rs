@@ -77,7 +77,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::Nu2NetReleased,
         title: "Nu2Net (3D-USE release)",
-        used_for: "proposer",
+        used_for: "corrects colours",
         files: &["uie_proposer.pth"],
         sha256: None,
         bytes: 12_583_692,
@@ -87,7 +87,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::Nu2Net,
         title: "Nu2Net",
-        used_for: "proposer",
+        used_for: "corrects colours",
         files: &["NU2Net_ckpt.pth"],
         sha256: None,
         bytes: 12_583_692,
@@ -97,7 +97,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::DepthAnythingV2Small,
         title: "Depth Anything V2 Small",
-        used_for: "depth prior",
+        used_for: "makes depth maps",
         files: &["depth_anything_v2_vits.pth"],
         sha256: None,
         bytes: 99_140_356,
@@ -107,7 +107,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::DepthAnythingV2Base,
         title: "Depth Anything V2 Base",
-        used_for: "depth prior",
+        used_for: "makes depth maps",
         files: &["depth_anything_v2_vitb.pth"],
         sha256: None,
         bytes: 389_883_140,
@@ -117,7 +117,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::DepthAnythingV2Large,
         title: "Depth Anything V2 Large",
-        used_for: "depth prior",
+        used_for: "makes depth maps",
         files: &["depth_anything_v2_vitl.pth"],
         sha256: None,
         bytes: 1_341_262_596,
@@ -127,7 +127,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::LpipsHeads,
         title: "LPIPS 0.1 heads",
-        used_for: "LPIPS, wLPIPS",
+        used_for: "scores pictures: LPIPS, wLPIPS",
         files: &["alex.pth", "lpips_alex_v0.1.pth", "lpips/weights/v0.1/alex.pth"],
         sha256: Some(LPIPS_HEADS_SHA256),
         bytes: 4_608,
@@ -137,7 +137,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::AlexNet,
         title: "AlexNet",
-        used_for: "LPIPS, wLPIPS",
+        used_for: "scores pictures: LPIPS, wLPIPS",
         files: &["alexnet-owt-7be5be79.pth", "alexnet-owt-4df8aa71.pth"],
         sha256: None,
         bytes: 244_403_360,
@@ -147,7 +147,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::RaftLarge,
         title: "RAFT-Large",
-        used_for: "wLPIPS",
+        used_for: "scores pictures: wLPIPS",
         files: &[
             "raft_large_C_T_SKHT_V2-ff5fadd5.pth",
             "raft_large_C_T_V2-1bb1363a.pth",
@@ -168,7 +168,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::URanker,
         title: "URanker",
-        used_for: "quality score",
+        used_for: "scores pictures",
         files: &["URanker_ckpt.pth", "URanker_ckpt-450eb36d.pth"],
         sha256: None,
         bytes: 86_355_292,
@@ -178,7 +178,7 @@ pub const KNOWN: [CheckpointInfo; 11] = [
     CheckpointInfo {
         network: Network::Musiq,
         title: "MUSIQ (KonIQ)",
-        used_for: "quality score",
+        used_for: "scores pictures",
         files: &["musiq_koniq_ckpt-e95806b9.pth"],
         sha256: Some("e95806b9eae5f3814c410f574ba8e552362bd5bc63d758ed5b97860f5d6185aa"),
         bytes: 108_503_300,

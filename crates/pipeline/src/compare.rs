@@ -6,20 +6,22 @@ use std::path::{Path, PathBuf};
 use serde_json::Value;
 use use3d_io_image::read_image;
 use use3d_judge::scores::{Method, SceneScores};
+use use3d_render::Mode;
 use use3d_report::page::{Page, Picture, SceneSection, ViewSection};
 use use3d_report::tables::{Better, Cell, Column, Row, Table};
 use use3d_report::verdict::{Sentence, Tone};
 use use3d_stages::SCORES;
 use use3d_stages::read_json;
-use use3d_stages::report::best_method;
+use use3d_stages::report::{best_method, caption};
 use use3d_workflow::canonical;
 use use3d_workflow::manifest::MANIFEST;
 
 use crate::WorkError;
-use crate::destination::{OUT, entries};
+use crate::destination::{OUT, check_file, entries, write_text};
 use crate::history;
 use crate::loaded::stages;
 use crate::made_by::text;
+use crate::results::STAMPED;
 
 /// Most views of a scene that the page shows.
 const VIEWS: usize = 12;
@@ -154,63 +156,143 @@ fn table(name: &str, sides: [&Folders; 2]) -> Option<Table> {
     (!columns.is_empty()).then(|| Table { name: "comparison".into(), caption, columns, rows })
 }
 
-/// The comparison in one sentence.
-fn sentence(sides: [&Folders; 2]) -> Option<Sentence> {
+/// The names of the held-out photographs in a folder of pictures, without extension.
+fn stems(renders: &Path) -> Vec<String> {
+    let pictures = entries(&renders.join("captured"));
+    let mut stems: Vec<String> =
+        pictures.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned())).collect();
+    stems.sort();
+    stems
+}
+
+/// The reason why the scores of two results say nothing about each other; `None` if they were measured on the
+/// same pictures.
+fn unlike(renders: [&Path; 2], stems: [&[String]; 2]) -> Result<Option<String>, WorkError> {
+    let [a, b] = stems;
+    if a != b {
+        let named = |all: &[String]| match all {
+            [] => "no photograph".to_string(),
+            [one] => one.clone(),
+            [first, .., last] => format!("{} photographs ({first} to {last})", all.len()),
+        };
+        return Ok(Some(format!("A was tested on {}, and B on {}", named(a), named(b))));
+    }
+    for stem in a {
+        let [a, b] = renders.map(|folder| folder.join("captured").join(format!("{stem}.png")));
+        let read = |path: &Path| read_image(path).map_err(WorkError::input);
+        if std::fs::read(&a).ok() == std::fs::read(&b).ok() {
+            continue;
+        }
+        let (a, b) = (read(&a)?, read(&b)?);
+        let [of_a, of_b] = [&a, &b].map(|image| format!("{} × {}", image.width(), image.height()));
+        if of_a != of_b {
+            return Ok(Some(format!(
+                "the pictures of A have {of_a} pixels, and those of B {of_b}; run both with the same --max-side"
+            )));
+        }
+        if a != b {
+            return Ok(Some(format!("the test photograph {stem} is another picture in A than in B")));
+        }
+    }
+    Ok(None)
+}
+
+/// The comparison in one sentence. With a reason why the two are unlike, there is no winner.
+fn sentence(sides: [&Folders; 2], unlike: Option<&str>) -> Option<Sentence> {
+    if let Some(reason) = unlike {
+        let text =
+            format!("Not comparable: {reason}. So the scores are left out, and neither is called better.");
+        return Some(Sentence { tone: Tone::Plain, text });
+    }
     let psnr = |stages| scores(stages)?.mean(Method::Reconstruction, "psnr")?.value();
     let [a, b] = [psnr(sides[0])?, psnr(sides[1])?];
     let (better, by) = if a >= b { ("A", a - b) } else { ("B", b - a) };
     let which = if by < 0.05 { "they are alike".into() } else { format!("{better} is better by {by:.1} dB") };
     let text =
-        format!("Held-out photographs are reproduced at {a:.1} dB PSNR by A and at {b:.1} dB by B: {which}.");
+        format!("Likeness to the photographs that were kept back: A {a:.1} dB, B {b:.1} dB (PSNR): {which}.");
     Some(Sentence { tone: Tone::Plain, text })
 }
 
-/// The pictures of a scene in both runs.
-fn section(name: &str, sides: [&Folders; 2]) -> Result<SceneSection, WorkError> {
+/// The differing parameters in one line: the first ones, and the number of others.
+fn in_short(differing: &[String]) -> String {
+    const NAMED: usize = 3;
+    let named = differing.iter().take(NAMED).map(String::as_str).collect::<Vec<_>>().join("; ");
+    match differing.len() {
+        0 => "No setting differs.".into(),
+        n @ 1..=NAMED => {
+            format!("{n} {}: {named}.", if n == 1 { "setting differs" } else { "settings differ" })
+        }
+        n => format!("{n} settings differ: {named}; and {} more.", n - NAMED),
+    }
+}
+
+/// The pictures of a scene in both runs, and their scores if they can be compared.
+fn section(name: &str, sides: [&Folders; 2]) -> Result<(SceneSection, Option<Table>), WorkError> {
     let renders = sides.map(|stages| stages["render"].clone());
-    let stems = |folder: &Path| -> Vec<String> {
-        let pictures = entries(&folder.join("captured"));
-        let mut stems: Vec<String> =
-            pictures.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned())).collect();
-        stems.sort();
-        stems
-    };
     let [a, b] = renders.each_ref().map(|folder| stems(folder));
+    let unlike = unlike([&renders[0], &renders[1]], [&a, &b])?;
     let common: Vec<&String> = a.iter().filter(|stem| b.contains(stem)).collect();
     let count = common.len().min(VIEWS);
     let mut section = SceneSection { name: name.into(), ..SceneSection::default() };
-    section.verdict.extend(sentence(sides));
+    section.verdict.extend(sentence(sides, unlike.as_deref()));
     section.notes = differing(sides[0], sides[1]);
-    section.summary = match section.notes.len() {
-        0 => "no parameter differs".into(),
-        1 => "one parameter differs".into(),
-        n => format!("{n} parameters differ"),
-    };
+    section.summary = in_short(&section.notes);
     for k in 0..count {
         let stem = common[k * common.len() / count];
-        let picture = |letter: &str, folder: &Path, mode: &str| -> Result<Option<Picture>, WorkError> {
-            let file = folder.join(mode).join(format!("{stem}.png"));
+        let picture = |of: &str, folder: &Path, mode: Option<Mode>| -> Result<Option<Picture>, WorkError> {
+            let (name, words) =
+                mode.map_or(("captured", "the photograph"), |mode| (mode.name(), caption(mode)));
+            let file = folder.join(name).join(format!("{stem}.png"));
             if !file.is_file() {
                 return Ok(None);
             }
             let image = read_image(&file).map_err(WorkError::input)?;
-            let label = format!("{letter}{mode}");
+            let label = format!("{of}{words}");
             Picture::embed(&label, "", &image).map(Some).map_err(WorkError::failed)
         };
         let (mut lead, mut images) = (Vec::new(), Vec::new());
         for (letter, (folder, stages)) in ["A: ", "B: "].into_iter().zip(renders.iter().zip(sides)) {
             let best = look(stages).name();
-            lead.extend(picture(letter, folder, best)?);
-            for mode in ["reconstruction", "clear", "enhanced", "enhanced-clear"] {
-                if mode != best {
-                    images.extend(picture(letter, folder, mode)?);
-                }
+            for mode in [Mode::Reconstruction, Mode::Clear, Mode::Enhanced, Mode::EnhancedClear] {
+                let list = if mode.name() == best { &mut lead } else { &mut images };
+                list.extend(picture(letter, folder, Some(mode))?);
             }
         }
-        images.extend(picture("", &renders[0], "captured")?);
+        images.extend(picture("", &renders[0], None)?);
         section.views.push(ViewSection { name: stem.clone(), lead, images, ..ViewSection::default() });
     }
-    Ok(section)
+    let table = unlike.is_none().then(|| table(name, sides)).flatten();
+    Ok((section, table))
+}
+
+/// The place of the page of two runs, if none is given: a name of its own for every pair.
+fn place_of(a: &str, b: &str) -> PathBuf {
+    let word = |given: &str| {
+        let short = given.trim_start_matches("./").trim_start_matches(OUT).trim_matches('/');
+        short.replace(|c: char| !(c.is_alphanumeric() || "._".contains(c)), "-")
+    };
+    format!("compare-{}-{}.html", word(a), word(b)).into()
+}
+
+/// Writes the page at `out`, or at a place of its own for these two, where an earlier page of them is
+/// replaced. Returns the place.
+///
+/// # Errors
+/// The place is occupied by something else, or cannot be written.
+pub fn write(
+    page: &Page,
+    (a, b): (&str, &str),
+    (out, force): (Option<&Path>, bool),
+) -> Result<PathBuf, WorkError> {
+    let html = page.html().map_err(WorkError::failed)?;
+    let Some(out) = out else {
+        let own = place_of(a, b);
+        STAMPED.write(&own, &html)?;
+        return Ok(own);
+    };
+    check_file("--out", out, force, &["html"])?;
+    write_text("--out", out, &html)?;
+    Ok(out.to_path_buf())
 }
 
 /// The page that compares two runs. Each is a results folder, its name below `./use3d-out`, or `NAME:N` for
@@ -238,12 +320,58 @@ pub fn page(a: &str, b: &str, made_with: String) -> Result<Page, WorkError> {
         ..Page::default()
     };
     for (name, sides) in pairs {
-        let section = section(name, sides)?;
+        let (section, table) = section(name, sides)?;
         if section.views.is_empty() {
             page.missing.push(format!("{name}: the two runs held out no view in common"));
         }
-        page.tables.extend(table(name, sides));
+        page.tables.extend(table);
         page.scenes.push(section);
     }
     Ok(page)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use use3d_capture::Image;
+    use use3d_io_image::write_png;
+
+    #[test]
+    fn runs_that_were_tested_on_other_pictures_have_no_winner() {
+        let dir = tempfile::tempdir().unwrap();
+        let run = |name: &str, stem: &str, width: usize, value: f32| {
+            let renders = dir.path().join(name);
+            std::fs::create_dir_all(renders.join("captured")).unwrap();
+            let file = renders.join("captured").join(format!("{stem}.png"));
+            write_png(&file, &Image::filled(width, 4, value)).unwrap();
+            renders
+        };
+        let a = run("a", "f_1", 8, 0.2);
+        let against = |b: &Path| unlike([&a, b], [&stems(&a), &stems(b)]).unwrap();
+        assert_eq!(against(&run("same", "f_1", 8, 0.2)), None);
+        let told =
+            |b: &Path| sentence([&Folders::new(), &Folders::new()], against(b).as_deref()).unwrap().text;
+        for (b, reason) in [
+            (run("size", "f_1", 4, 0.2), "the pictures of A have 8 × 4 pixels, and those of B 4 × 4"),
+            (run("photograph", "f_1", 8, 0.6), "the test photograph f_1 is another picture in A than in B"),
+            (run("view", "g_1", 8, 0.2), "A was tested on f_1, and B on g_1"),
+        ] {
+            let told = told(&b);
+            assert!(
+                told.starts_with(&format!("Not comparable: {reason}")) && !told.contains("is better"),
+                "{told}"
+            );
+        }
+    }
+
+    #[test]
+    fn every_pair_has_a_page_and_differing_settings_have_names() {
+        assert_eq!(place_of("use3d-out/reef", "./2025/reef:2"), Path::new("compare-reef-2025-reef-2.html"));
+        let lines: Vec<String> = (1..=5).map(|i| format!("import.p{i}: 1 in A, 2 in B")).collect();
+        assert_eq!(in_short(&lines[..1]), "1 setting differs: import.p1: 1 in A, 2 in B.");
+        assert!(
+            in_short(&lines).starts_with("5 settings differ: import.p1")
+                && in_short(&lines).ends_with("and 2 more.")
+        );
+    }
 }

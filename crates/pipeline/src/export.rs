@@ -7,7 +7,7 @@
 use std::path::Path;
 
 use glam::{DMat3, DVec3};
-use use3d_capture::{Camera, Frame};
+use use3d_capture::{Camera, Frame, World};
 use use3d_numerics::math;
 use use3d_numerics::order::Ascending;
 use use3d_render::white::balanced;
@@ -19,7 +19,7 @@ use use3d_stages::CAMERAS;
 use use3d_web::foreign::{NO_WATER, compressed_ply, glb, spz};
 
 use crate::WorkError;
-use crate::baked::difference;
+use crate::baked::{CutOff, cut_off, difference};
 use crate::destination::{path_text, write_file};
 use crate::scene_page::is_held_out;
 use crate::scene_views::placed;
@@ -52,6 +52,14 @@ pub enum GaussianFrame {
 }
 
 impl GaussianFrame {
+    /// Fails, before anything is computed, if files of the scene in `folder` cannot have this frame.
+    ///
+    /// # Errors
+    /// The scene does not know its metres.
+    pub fn check(self, folder: &Path) -> Result<(), WorkError> {
+        if self == Self::Metric { world_of(folder).map(drop) } else { Ok(()) }
+    }
+
     /// Its name in the header of a file.
     pub fn name(self) -> &'static str {
         match self {
@@ -77,6 +85,19 @@ pub struct ExportLook<'a> {
     pub gains: Gains,
     /// The cameras through whose water the scene is baked; `None` for those that the scene keeps.
     pub cameras: Option<&'a Path>,
+}
+
+impl ExportLook<'_> {
+    /// The values of the look that are cut off at white in its cameras, if it is too strong in its scene.
+    ///
+    /// # Errors
+    /// The scene cannot be drawn.
+    pub fn cut_off(&self, scene: &Scene, folder: &Path) -> Result<Option<CutOff>, WorkError> {
+        let Some(mode) = self.mode.filter(|mode| mode.is_too_strong(scene)) else { return Ok(None) };
+        // The look needs no cameras, so a scene without them is exported too.
+        let cameras = cameras_of(self.cameras, (scene, folder)).unwrap_or_default().0;
+        cut_off(scene, mode, &cameras).map(Some).map_err(WorkError::failed)
+    }
 }
 
 /// The Gaussians of a scene in the colours of a look, in COLMAP's frame.
@@ -236,33 +257,36 @@ fn baked(
     (scene, folder): (&Scene, &Path),
     look: &ExportLook<'_>,
     mode: Mode,
-    mut tell: Option<&mut dyn FnMut(String)>,
+    tell: Option<&mut dyn FnMut(String)>,
 ) -> Result<Gaussians, WorkError> {
     let ExportLook { water, backdrop, cameras, .. } = *look;
     let look = if mode.is_enhanced() { Look::Enhanced { strength: 1.0 } } else { Look::Reconstruction };
     let with_water = mode.shows_water() && !scene.medium.is_none() && water > 0.0;
     if !with_water {
         let dry = bake_in_water(scene, look, 0.0, &[]).map_err(WorkError::input)?;
-        if let (Some(tell), Some(line)) = (&mut tell, clamped(&dry)) {
-            tell(line);
-        }
+        log_error(&dry);
         return Ok(dry.gaussians);
     }
     let (through, held_out) = cameras_of(cameras, (scene, folder))?;
     let mut wet = bake_in_water(scene, look, water, &through).map_err(WorkError::input)?;
-    if let Some(tell) = &mut tell {
-        clamped(&wet).into_iter().for_each(&mut *tell);
-        let apart = |cameras: &[Camera]| -> Result<String, WorkError> {
+    log_error(&wet);
+    if let Some(tell) = tell {
+        let apart = |cameras: &[Camera]| -> Result<f64, WorkError> {
             let apart = difference(scene, look, water, &wet, cameras).map_err(WorkError::failed)?;
-            Ok(format!("ΔE00 {:.2} on average ({:.2} at the worst camera)", apart.mean, apart.worst))
+            tracing::info!(
+                "colours of the file and the scene: ΔE00 {:.2}, worst camera {:.2}",
+                apart.mean,
+                apart.worst
+            );
+            Ok(apart.mean)
         };
         let unseen = match held_out.len() {
             0 => String::new(),
-            n => format!("; at {n} held-out views by {}", apart(&held_out)?),
+            _ => format!(", and by {:.1} at those that were kept back", apart(&held_out)?),
         };
         tell(format!(
-            "the look is baked for the distances of {} cameras; at these cameras the file differs from the \
-             scene by {}{unseen}; closer up it still shows the water of these distances",
+            "the look is baked for the distances of {} cameras: there the file differs from the scene by ΔE00 {:.1}{unseen}; 1 \
+             can just be seen. The file cannot show less water when you come closer; the page can",
             through.len(),
             apart(&through)?
         ));
@@ -274,19 +298,17 @@ fn baked(
     Ok(wet.gaussians)
 }
 
-/// The error of the spherical harmonics against the exact colours, in words.
-fn clamped(baked: &InWater) -> Option<String> {
+/// Logs the error of the spherical harmonics against the exact colours.
+fn log_error(baked: &InWater) {
     let report = &baked.report;
-    (report.max_error > 0.0).then(|| {
-        format!(
-            "baked: the colours of {:.2} % of the samples are clamped; mean colour error {:.5}, in clamped \
-             samples {:.5}, at most {:.4}",
-            100.0 * report.clamped_share,
-            report.mean_error,
-            report.mean_error_clamped,
-            report.max_error
-        )
-    })
+    tracing::info!(
+        "baked: the colours of {:.2} % of the samples are clamped; mean colour error {:.5}, in clamped samples {:.5}, at \
+         most {:.4}",
+        100.0 * report.clamped_share,
+        report.mean_error,
+        report.mean_error_clamped,
+        report.max_error
+    );
 }
 
 /// The cameras for a look with water, in the scene's frame: those through whose water the scene is baked, and
@@ -320,19 +342,25 @@ fn cameras_of(
     Ok((through, held_out))
 }
 
+/// The world of a scene folder, for its metres.
+fn world_of(scene: &Path) -> Result<World, WorkError> {
+    let world = Scene::world(scene).map_err(WorkError::input)?;
+    world.ok_or_else(|| {
+        WorkError::Input(format!(
+            "--frame metric: {} does not know its metres; measure a length or give positions (docs/guide/metres.md), and \
+             run again",
+            path_text(scene)
+        ))
+    })
+}
+
 /// Coordinates above this many metres lose millimetres in single precision.
 const FAR: f64 = 1000.0;
 
 /// The similarity from COLMAP's frame to metres, without a large offset, and that offset in whole metres.
 /// `away` is the place of the positions' zero in COLMAP's frame.
 fn metric(scene: &Path, away: DVec3) -> Result<(Frame, DVec3), WorkError> {
-    let Some(world) = Scene::world(scene).map_err(WorkError::input)? else {
-        return Err(WorkError::Input(format!(
-            "--frame metric: {} does not know its metres; measure a length or give positions \
-             (docs/guide/metres.md), and run again",
-            path_text(scene)
-        )));
-    };
+    let world = world_of(scene)?;
     let translation = DVec3::from_array(world.apply(away.to_array()));
     let offset = if translation.abs().max_element() > FAR { translation.round() } else { DVec3::ZERO };
     let (scale, rotation) = (world.metres_per_unit, world.rotation());

@@ -54,7 +54,9 @@ impl PipelineRequest {
         } else if let Some(text) = shipped_as(target) {
             from_text(registry, &text, target, options)
         } else {
-            return refused("there is no such pipeline file (.toml) or capture folder");
+            return refused(
+                "there is no such file or folder; give a film, a folder with photographs, or a pipeline file (.toml)",
+            );
         };
         pipeline.map_err(|error| WorkError::Input(as_typed(&error.to_string(), &self.flags)))
     }
@@ -235,6 +237,7 @@ fn no_pipeline(file: &Path) -> Option<&'static str> {
             "this is not a pipeline file (.toml): give the capture's folder, with images and a model of their cameras \
              (docs/reference/captures.md)"
         }
-        _ => return None,
+        "toml" => return None,
+        _ => "expected a film, a folder with photographs, or a pipeline file (.toml)",
     })
 }

@@ -93,7 +93,9 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
             let on = scores.on_pixels();
-            lines.push(format!("{of}: held-out photographs are reproduced at {psnr:.2} dB PSNR{on}"));
+            lines.push(format!(
+                "{of}: likeness to the photographs that were kept back: {psnr:.2} dB{on}; from 30 dB on, a difference is hard to see"
+            ));
             lines.extend(scores.hidden_too_much().map(|hidden| format!("{of}: {hidden}")));
         }
         // The look that leads the report is printed too.
@@ -101,14 +103,17 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
             .iter()
             .find(|r| r.what == "enhance" && (&r.scene, &r.variant) == (&result.scene, &result.variant));
         let best = best_method(enhanced.map(|r| r.path.as_path())).unwrap_or(Method::EnhancedClear);
-        let against_truth: Vec<String> =
-            [(Method::Captured, "photographs"), (Method::Proposal, "2D enhancer"), (best, best.name())]
-                .into_iter()
-                .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
-                .collect();
+        let against_truth: Vec<String> = [
+            (Method::Captured, "photographs"),
+            (Method::Proposal, "a usual filter on each photograph"),
+            (best, best.name()),
+        ]
+        .into_iter()
+        .filter_map(|(method, name)| Some(format!("{name} {:.2} dB", mean(method, "truth_psnr")?)))
+        .collect();
         if !against_truth.is_empty() {
             let truth = against_truth.join(", ");
-            lines.push(format!("{of}: against the true scene without water: {truth}"));
+            lines.push(format!("{of}: likeness to the true scene without water, more is better: {truth}"));
         }
     }
     lines.extend(next(&of_all));

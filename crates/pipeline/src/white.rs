@@ -7,7 +7,7 @@ use std::str::FromStr;
 use use3d_capture::{Camera, FileName, stem};
 use use3d_import::read_cameras;
 use use3d_render::SceneRenderer;
-use use3d_render::white::{Surfaces, gains_of_patches, patch};
+use use3d_render::white::{LONGEST, PATCH, Surfaces, gains_of_patches, patch};
 use use3d_scene::white::{Click, Gains, Method};
 use use3d_scene::{Scene, White};
 use use3d_workflow::error::nearest;
@@ -132,8 +132,12 @@ fn camera_of<'c>(
         }
         (None, _) => {
             let mut names = cameras.iter().map(|(name, _)| name.as_str());
-            let near = nearest(&place.view, names.clone()).or(names.next()).unwrap_or("none");
-            Err(refused(format!("there is no photograph of this name; did you mean {near}?")))
+            let next = match (nearest(&place.view, names.clone()), names.next()) {
+                (Some(near), _) => format!("; did you mean {near}?"),
+                (None, Some(first)) => format!("; the capture has {}, the first is {first}", cameras.len()),
+                (None, None) => String::new(),
+            };
+            Err(refused(format!("there is no photograph of this name{next}")))
         }
     }
 }
@@ -252,21 +256,31 @@ pub fn keep(white: Option<&White>, folder: &Path) -> Result<Option<White>, WorkE
 /// The effect of a white balance on the looks of a scene, and its range, in lines.
 pub fn lines(white: &White, scene: &Scene) -> Vec<String> {
     let text = |[r, _, b]: [f32; 3]| format!("red ×{r:.2}, blue ×{b:.2}");
-    let Gains { clear, enhanced, enhanced_clear } = white.gains;
+    let Gains { clear, enhanced, .. } = white.gains;
     let mut looks = vec![format!("clear: {}", text(clear))];
     if scene.enhancement.is_some() {
         looks.push(format!("enhanced: {}", text(enhanced)));
-        looks.push(format!("enhanced-clear: {}", text(enhanced_clear)));
     }
     let mut lines = vec![format!("white balance by {}: {}", white.method.name(), looks.join("; "))];
     let distances: Vec<f64> = white.clicks.iter().filter_map(|click| click.distance).collect();
     if !distances.is_empty() {
         let distances: Vec<String> = distances.iter().map(|d| format!("{d:.2}")).collect();
         lines.push(format!(
-            "measured at a distance of {} units and correct there; nearer or farther surfaces may keep a cast",
+            "measured {} units away, as the median of {PATCH} by {PATCH} pixels of a picture at most {LONGEST} pixels wide; \
+             correct there, nearer or farther surfaces may keep a cast",
             distances.join(" and ")
         ));
     }
+    let belief = match white.method {
+        Method::Patch => return lines,
+        Method::Grey => "took all surfaces together for grey",
+        Method::Reef => "took the surfaces for those of a usual reef",
+    };
+    let name = white.method.name();
+    lines.push(format!(
+        "{name} {belief}: over coloured sand or a wall of one colour it makes the picture worse; then click on something \
+         grey instead (VIEW:X,Y), or take the balance back with `off`"
+    ));
     lines
 }
 
@@ -311,6 +325,8 @@ mod tests {
         assert_eq!(found("f_1").as_deref(), Ok("f_1.jpg"), "the page names photographs without an extension");
         assert!(found("reef").unwrap_err().contains("reef.jpg and reef.png"));
         assert!(found("g_1.jpg").unwrap_err().contains("did you mean f_1.jpg"));
+        let strange = found("nofoto.jpg").unwrap_err();
+        assert!(strange.ends_with("of this name; the capture has 5, the first is reef.jpg"), "{strange}");
     }
 
     #[test]

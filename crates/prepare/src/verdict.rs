@@ -198,8 +198,8 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
         _ => Grade::Poor,
     };
     let mut words = vec![format!(
-        "{registered} of {} images have a place ({:.0} %). The mean reprojection error is {error:.2} pixels, and {points} \
-         points are each seen in {track_length:.1} images.",
+        "{registered} of {} images have a place ({:.0} %): it is known where the camera was. The cameras fit the images to \
+         {error:.2} pixels, below 1 is good, and {points} points are each seen in {track_length:.1} images.",
         names.len(),
         100.0 * share
     )];
@@ -209,15 +209,15 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     if !groups.is_empty() {
         let list: Vec<String> = groups.iter().map(usize::to_string).collect();
         words.push(format!(
-            "Other images form {} without enough overlap with the largest one, which is used: {} images.",
-            if groups.len() == 1 { "a group".into() } else { format!("{} groups", groups.len()) },
-            list.join(", ")
+            "{} images are not used: they form {} of their own, which shows too little of what the largest group shows.",
+            list.join(" and "),
+            if groups.len() == 1 { "a group".into() } else { format!("{} groups", groups.len()) }
         ));
     }
     if let Some(ratio) = odd {
         words.push(format!(
             "The focal lengths along the width and the height differ by a factor of {ratio:.2}, which no lens has, so the \
-             cameras are wrong: take a lens model with less freedom (--lens RADIAL), or more and sharper images."
+             cameras are wrong: take a simpler lens model (--lens RADIAL), or more and sharper images."
         ));
     }
     let give_lens = give_lens(used);
@@ -236,14 +236,14 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     }
     if let Some(reach) = wide {
         words.push(format!(
-            "The model's camera sees {:.0}° from left to right, and a side of the images has no points. So the lens is \
-             probably too wide: a path along the scene hardly determines it. {give_lens} `use3d check` shows the bare side.",
+            "By this result the camera sees {:.0}° from left to right, and a side of the images has no points. So the lens \
+             is probably wrong, as it can be after a swim along one line. {give_lens} `use3d check` shows the empty side.",
             reach.angle
         ));
     }
     if let Some(angle) = rare {
         words.push(format!(
-            "The model's camera sees {angle:.0}° from left to right. Few cameras see that much under water, and a short path \
+            "By this result the camera sees {angle:.0}° from left to right. Few cameras see that much under water, and a short path \
              along the scene can give a wrong lens with a small error. If yours sees less, this lens is wrong. {give_lens}"
         ));
     }

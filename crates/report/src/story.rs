@@ -68,7 +68,7 @@ fn headline(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Sentence 
             ", and its colours are steadier than those of a program that enhances each picture alone"
         }
         Tone::Bad => {
-            ", but its colours are less steady than those of a program that enhances each picture alone"
+            ". But its colours are less steady than those of a program that enhances each picture alone"
         }
         Tone::Plain => "",
     };
@@ -184,7 +184,7 @@ mod tests {
         let said =
             "Pictures of the scene look like real photographs from the same places, and its colours are";
         assert!(good.text.starts_with(said) && good.text.contains("steadier"), "{good:?}");
-        assert!(of(33.0, 4.0).text.contains("but its colours are less steady"));
+        assert!(of(33.0, 4.0).text.contains("But its colours are less steady"));
         assert!(of(25.0, 2.0).text.starts_with("Pictures of the scene can be recognised"));
         let bad = of(15.0, 2.0);
         assert!(bad.tone == Tone::Bad && !bad.text.contains("steadier"), "{bad:?}");

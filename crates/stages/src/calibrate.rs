@@ -17,7 +17,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("calibrate", Scope::Shared, run)
-            .about("learn from image pairs what \"enhanced\" means")
+            .about("learn from the pairs of pictures how corrected colours look")
             .promises(&[CALIBRATOR, "report.json"])
             .check(|p: &CalibratorParams| p.validate().map_err(out_of_range))
             .input("pairs", "pairs")
@@ -35,7 +35,7 @@ fn run(context: &StageContext, params: &CalibratorParams) -> Result<(), StageErr
     let calibrator = train(&dataset, &params, &data, &mut |progress| {
         if let LoopPosition::Step { step, steps, loss } = progress {
             if step < last {
-                context.say("validation fit done; now fitting all pairs");
+                context.say("tested on a part of the pairs; now learning from all of them");
             }
             last = step;
             context.progress_with(step, steps, "steps", &format!("loss {loss:.4}"));
@@ -54,28 +54,33 @@ fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorPara
     let trust = params.trust;
     if CalibratorParams::few(pairs) {
         context.say(format_args!(
-            "{pairs} pairs are too few ({METHOD_PAIRS} recommended): the result may not fit your water; \
-             compare proposals and enhanced views, or run again with calibrate.trust=0"
+            "{pairs} pairs are few ({METHOD_PAIRS} are recommended): the colours may not fit your water; if they look \
+             wrong, run again without the pairs"
         ));
     }
     if calibrator.corrects() == [false; 2] {
         let why = match trust {
-            0.0 => "calibrate.trust is 0, so the pairs give only the scales of errors",
-            _ => "no part of the learnt correction improved the held-out pairs",
+            0.0 => "calibrate.trust is 0",
+            _ => "what was learnt from them did not improve the pairs that were kept back for a test",
         };
-        context.say(format_args!("proposals are not corrected: {why}"));
+        context.say(format_args!("the pairs change no colours: {why}"));
         return;
     }
     if let Some(held_out) = &calibrator.provenance.held_out {
         let errors = &held_out.errors;
+        let (global, local) = (&errors.global, &errors.centered);
+        context.detail(format_args!(
+            "colour error on held-out pairs, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → {:.3}",
+            global.before, global.after, local.before, local.after
+        ));
         context.say(format_args!(
-            "colour error on held-out pairs, proposal → calibrated: global {:.3} → {:.3}, local {:.3} → \
-             {:.3}",
-            errors.global.before, errors.global.after, errors.centered.before, errors.centered.after
+            "the pairs improve the colours of the usual filter: {:.0} % of its colour error is left in pairs that were \
+             kept back for a test",
+            100.0 * global.after / global.before.max(f64::MIN_POSITIVE)
         ));
         for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
             if share < trust {
-                context.say(format_args!(
+                context.detail(format_args!(
                     "the {head} head keeps {:.0} % of its correction, as more made the held-out pairs \
                      worse; more pairs, or pairs of one kind, help",
                     100.0 * share

@@ -81,7 +81,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("depth", Scope::Scene, run)
-            .about("depth priors by Depth Anything V2")
+            .about("estimate depth maps by Depth Anything V2")
             .input("import", "import")
             .external("models", "models")
             .select(|p: &Params, models| Ok(model_files(models, &[p.encoder.found(models)?.0])))

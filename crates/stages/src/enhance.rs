@@ -47,7 +47,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("enhance", Scope::Scene, run)
-            .about("stage 2: store the enhancement in the scene")
+            .about("store the corrected colours in the scene (stage 2)")
             .promises(&["scene.json", "gaussians.ply", REPORT])
             .delivers("enhanced-scene")
             .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
@@ -101,7 +101,7 @@ impl LabelSource for Proposals<'_> {
 }
 
 /// Messages on the errors before and after stage 2. An error that grew although it was weighted is a warning.
-fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
+fn reached(context: &StageContext, report: &Report, params: &EnhanceParams) -> Vec<String> {
     let measuring = TERMS.iter().filter(|row| row.measures_errors());
     let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
     let Some(errors) = errors else {
@@ -113,13 +113,20 @@ fn reached(report: &Report, params: &EnhanceParams) -> Vec<String> {
     };
     let each = errors.iter().map(|(row, (before, after))| format!("{} {before:.3} → {after:.3}", row.name));
     let each: Vec<String> = each.collect();
-    let mut lines = vec![format!("remaining colour error, before → after: {}", each.join(", "))];
+    context.detail(format!("remaining colour error, before → after: {}", each.join(", ")));
+    let place = |name: &str| if name == "local" { "in small details" } else { "overall" };
+    let left = errors.iter().map(|(row, (before, after))| {
+        format!("{:.0} % {}", 100.0 * after / before.max(f64::MIN_POSITIVE), place(row.name))
+    });
+    let left = left.collect::<Vec<_>>().join(", ");
+    let mut lines =
+        vec![format!("the scene has the corrected colours; of the colour error this is left: {left}")];
     for (row, (before, after)) in errors {
-        let name = row.name;
+        let place = place(row.name);
         // The growth must be visible in the printed decimals: a thousandth of a scale is no growth.
         if (row.weight)(params) > 0.0 && after > before + GROWTH {
             lines.push(format!(
-                "warning: the {name} error grew in stage 2, from {before:.3} to {after:.3}: the scene is farther from its {name} targets than it was without enhancement; try more `iterations`, or leave this term out with `objective`"
+                "warning: the colour error {place} grew, from {before:.3} to {after:.3}; a longer run helps: --set enhance.iterations=N with a larger N than now"
             ));
         }
     }
@@ -182,7 +189,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
             "learnt in clear radiance: `enhanced` shows the enhanced objects behind the water of stage 1",
         );
     }
-    for line in reached(&outcome.report, &params) {
+    for line in reached(context, &outcome.report, &params) {
         context.say(line);
     }
     let out = context.output();

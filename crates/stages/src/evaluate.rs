@@ -134,7 +134,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("evaluate", Scope::Scene, run)
-            .about("score the held-out views")
+            .about("compare these pictures with the photographs that were kept back")
             .promises(&[SCORES])
             .delivers("scores")
             .check(Params::check)

@@ -22,7 +22,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("import", Scope::Scene, run)
-            .about("read a capture folder: find model and images, undistort, resize, normalise, split")
+            .about("read the photographs and the places where they were taken")
             .promises(&["capture.json", "originals.json", "report.json", "images/"])
             .check(|p: &ImportParams| p.validate().map_err(out_of_range))
             .input("capture", "prepare")
@@ -90,8 +90,8 @@ fn has_hidden_part(file: &Path) -> bool {
 
 fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> {
     let imported = import(context.input("capture")?, params).map_err(StageError::bad_input)?;
-    for line in imported.report.to_string().lines() {
-        context.say(line);
+    for (detail, line) in imported.report.lines() {
+        if detail { context.detail(line) } else { context.say(line) }
     }
     imported.capture.validate().map_err(StageError::bad_input)?;
     let prepared = prepare(&imported, context.output(), context.threads(), &|done, total| {
@@ -107,7 +107,7 @@ fn run(context: &StageContext, params: &ImportParams) -> Result<(), StageError> 
         error => StageError::bad_input(error),
     })?;
     if let Some(overlay) = prepared.report.overlay.filter(|_| imported.report.overlay.is_none()) {
-        context.say(format!("  {}", overlay.note()));
+        context.say(overlay.note());
     }
     keep_sights(context, &imported, prepared.report.white_balance)?;
     write_json(&context.output().join("report.json"), &prepared.report)

@@ -39,7 +39,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("pairs", Scope::Shared, run)
-            .about("transitions and proposals of the paired images")
+            .about("read the pairs of pictures, and apply the usual filter to them")
             .promises(&[DATASET])
             .check(|p: &PairsParams| {
                 p.extractor.validate().map_err(|wrong| out_of_range(wrong.within("extractor")))
@@ -64,7 +64,7 @@ pub(crate) mod definition {
     }
 
     fn missing_pairs(named: &Named) -> Vec<Lacking> {
-        let what = "the pairs of images that the calibrator learns from";
+        let what = "the pairs of pictures that colours are learnt from";
         if !named.has("pairs.input") {
             let remedy =
                 format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");

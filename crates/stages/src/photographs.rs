@@ -41,7 +41,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("photographs", Scope::Scene, run)
-            .about("the held-out photographs, enhanced by the scene")
+            .about("correct the colours of the photographs that were kept back")
             .delivers("photographs-held-out")
             .check(|p: &Params| within("keep_light", p.keep_light, 0.0, 1.0).map_err(out_of_range))
             .when(|all| !learns_from_proposals(all))

@@ -30,7 +30,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("prepare", Scope::Scene, run)
-            .about("find the cameras of a film or of photographs: frames, features, matches, model")
+            .about("find out where every photograph or frame of a film was taken")
             .promises(&[PREPARED, "sparse/0/"])
             .check(|p: &PrepareParams| p.validate().map_err(of_parameter))
             .when_named(|_, named| named.has("footage"))

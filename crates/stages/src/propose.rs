@@ -35,7 +35,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("propose", Scope::Scene, run)
-            .about("enhance every photograph on its own, to reconstruct from")
+            .about("correct every photograph on its own, to learn the scene from them")
             .input("import", "import")
             .optional_external("models", "models")
             .select(|p: &Params, models| files_of_proposer(p.proposer, models))

@@ -62,7 +62,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("reconstruct", Scope::Scene, run)
-            .about("stage 1: reconstruct the scene with its water")
+            .about("learn the 3D scene and its water from the photographs (stage 1)")
             .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
             .delivers("scene")
             .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
@@ -119,6 +119,16 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
     }
 }
 
+/// The sentence on the depth prior in the words of a diver.
+fn depth_in_short(prior: &str) -> &str {
+    match prior.trim_start_matches("depth prior: ") {
+        missing if missing.contains("although") => prior,
+        none if none.starts_with("none") => "no depth maps: going on without, they are optional",
+        own if own.starts_with("the capture's own") => "depth maps: those of the capture are used",
+        _ => "depth maps: those of the network Depth Anything V2 are used",
+    }
+}
+
 /// The water that a training starts from.
 #[derive(Default)]
 struct Start {
@@ -143,14 +153,15 @@ fn known_from_tracks(context: &StageContext) -> Result<Start, StageError> {
     let report = WaterReport { capture: "capture".into(), ..WaterReport::new(&imported, &water, judgement) };
     write_json(&context.output().join(WATER), &report)?;
     context.log(report.to_string().trim_end());
-    context.say(format!("water from tracks: {}", by_verdict(&report.channels)));
+    context.detail(format!("water from tracks: {}", by_verdict(&report.channels)));
     let so = match judgement.no_water() {
         true => "; the water is off (medium = \"none\")",
         false if judgement == Judgement::Found => "",
         false => " (medium_prior = \"off\")",
     };
     let said = format!("{judgement}{so}");
-    context.say(&said);
+    context.detail(&said);
+    context.say(judgement.in_short());
     let found = found_water(&water, judgement);
     let known = Known { water: found, gains: water.gains };
     Ok(Start { known, dry: judgement.no_water(), said, attenuation: report.attenuation() })
@@ -181,7 +192,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         }
     }
     let prior = prior_in_force(params, &capture, context.optional_input("depth").is_some());
-    context.say(&prior);
+    context.detail(&prior);
+    context.say(depth_in_short(&prior));
     let mut params = ReconstructParams { seed: context.seed(), ..params.clone() };
     // Masks and depth priors always belong to the photographs.
     let mut learnt_from = capture.clone();
@@ -234,10 +246,15 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         };
         let (psnr, ssim) = (text(&evaluation.psnr, " dB", 2), text(&evaluation.ssim, "", 4));
         let count = outcome.scene.gaussians.len();
-        context.say(format_args!("held-out views{against}: PSNR {psnr}, SSIM {ssim}, {count} Gaussians"));
+        context.detail(format_args!("held-out views{against}: PSNR {psnr}, SSIM {ssim}, {count} Gaussians"));
+        if evaluation.psnr.value().is_some() {
+            context.say(format_args!(
+                "likeness to the photographs that were kept back: {psnr}; from 30 dB on, a difference is hard to see"
+            ));
+        }
         if let Some(fitted) = &evaluation.fitted {
             let (psnr, ssim) = (text(&fitted.psnr, " dB", 2), text(&fitted.ssim, "", 4));
-            context.say(format_args!(
+            context.detail(format_args!(
                 "held-out views{against}, after gains fitted on the other half of each view: PSNR {psnr}, SSIM {ssim}"
             ));
         }

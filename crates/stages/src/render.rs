@@ -1,5 +1,5 @@
-//! The held-out views as pictures: captured, reconstruction, clear, enhanced, enhanced-clear, depth, and the
-//! water's maps.
+//! The held-out views as pictures: captured, reconstruction, clear, enhanced (or enhanced-clear), depth, and
+//! the water's maps.
 
 use std::path::Path;
 
@@ -59,7 +59,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("render", Scope::Scene, run)
-            .about("pictures of the held-out views")
+            .about("draw the scene as seen from the photographs that were kept back")
             .promises(&["captured/"])
             .delivers("renders")
             .check(|p: &Params| within("strength", p.strength, 0.0, 1.0).map_err(out_of_range))
@@ -108,7 +108,8 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let mut renderer = drawn.renderer(params.strength)?.with_water(params.water)?;
     let mut modes = vec![Mode::Reconstruction, Mode::Clear, Mode::Depth];
     if renderer.is_enhanced() {
-        modes.extend([Mode::Enhanced, Mode::EnhancedClear]);
+        let looks = [Mode::Enhanced, Mode::EnhancedClear];
+        modes.extend(looks.into_iter().filter(|mode| !mode.is_too_strong(&scene)));
     }
     if !scene.medium.is_none() {
         modes.extend([Mode::Medium, Mode::Backscatter, Mode::Attenuation]);

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use use3d_atc::calibrator::{Calibrator, METHOD_PAIRS, Provenance};
 use use3d_atc::consensus::TargetsReport;
-use use3d_capture::{Appearance, Camera, Image, flat_stem, shown};
+use use3d_capture::{Appearance, Camera, Image, flat_stem};
 use use3d_enhance::EnhanceParams;
 use use3d_io_image::read_image;
 use use3d_reconstruct::ReconstructParams;
@@ -21,11 +21,10 @@ use use3d_workflow::{StageContext, StageError};
 use crate::parts::calibrator::read_calibrator;
 use crate::parts::curves::stage_1;
 use crate::parts::files::{
-    BATCH, CALIBRATED, CHOICES, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, WATER, read, read_json,
-    stems, write_json,
+    BATCH, CALIBRATED, CONTACT, ENHANCED_IN_2D, SCORES, STRIP, TRUE_VIEWS, read, read_json, stems, write_json,
 };
 use crate::parts::proposer::NO_PROPOSER;
-use crate::reconstruct::Choices;
+use crate::parts::water_words::{attenuation, water_sentences};
 pub use crate::side_by_side::{MethodSide, side_by_side};
 use use3d_chart::{Plot, RGB, Series};
 use use3d_judge::names::in_variant;
@@ -61,7 +60,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("report", Scope::Batch, run)
-            .about("what belongs to no single scene of the batch: title, calibrator, missing parts")
+            .about("write the report")
             .promises(&[BATCH])
             .input("calibrator", "calibrate")
             .or_external("calibrator")
@@ -266,76 +265,6 @@ fn facts(parts: &ResultFolders<'_>, log: Option<&str>, targets: Option<&TargetsR
     }
 }
 
-/// A sentence on the water of stage 1, in the same words as `use3d water` if the tracks were used, and one on
-/// the metres of a unit. Empty if the scene does not say it.
-fn water_sentences(scene: &Path) -> String {
-    let estimate: Option<Value> = read_json(&scene.join(WATER)).ok();
-    let water = estimate.as_ref().and_then(water_from_tracks).unwrap_or_else(|| {
-        let water = read_json::<Choices>(&scene.join(CHOICES)).unwrap_or_default().water;
-        if water.is_empty() { water } else { format!("{}.", capitalised(&water)) }
-    });
-    [water, scale_sentence(scene, estimate.as_ref())].join(" ").trim().to_string()
-}
-
-/// The attenuation of each colour, and true if it is per metre; `None` if the tracks do not tell it in every
-/// colour.
-fn attenuation(scene: &Path) -> Option<([f64; 3], bool)> {
-    let water: Value = read_json(&scene.join(WATER)).ok()?;
-    let each = |of: &dyn Fn(usize) -> Option<f64>| Some([of(0)?, of(1)?, of(2)?]);
-    let in_metres = each(&|c| water["metric"]["attenuation"][c]["value"].as_f64());
-    let in_units = each(&|c| water["channels"][c]["attenuation"]["value"].as_f64());
-    let known = in_metres.map(|values| (values, true)).or_else(|| Some((in_units?, false)));
-    known.filter(|_| water["judgement"] == "found")
-}
-
-/// A sentence on the metres of a unit; empty if they are not known.
-fn scale_sentence(scene: &Path, estimate: Option<&Value>) -> String {
-    let Ok(Some(world)) = Scene::world(scene) else { return String::new() };
-    let attenuation = estimate.and_then(|water| water["metric"]["attenuation"].as_array());
-    let per_metre = attenuation.map_or_else(String::new, |values| {
-        let values: Vec<String> = values.iter().map(|v| number(&v["value"], 3)).collect();
-        format!(" Attenuation per metre, red, green, blue: {}.", values.join(", "))
-    });
-    format!("One unit is {:.4} m, by {}.{per_metre}", world.metres_per_unit, shown(&world.source))
-}
-
-/// The water estimated from the tracks; `None` for an estimate of another form.
-fn water_from_tracks(water: &Value) -> Option<String> {
-    let judgement = capitalised(water["told"].as_str()?);
-    let used = match water["judgement"] == "found" {
-        true => "The tracks give these attenuations per unit.",
-        false => "The tracks give these attenuations per unit, which are not used.",
-    };
-    let channels: Vec<(String, &str)> = water["channels"].as_array()?.iter().map(channel_in_words).collect();
-    if channels.is_empty() {
-        return None;
-    }
-    // Neighbouring channels with the same verdict share a sentence.
-    let alike = channels.chunk_by(|(_, one), (_, other)| one == other);
-    let sentences = alike.map(|channels| {
-        let figures: Vec<&str> = channels.iter().map(|(figures, _)| &figures[..]).collect();
-        format!("{} ({}).", capitalised(&figures.join(", ")), channels[0].1)
-    });
-    Some(format!("{judgement}. {used} {}", sentences.collect::<Vec<_>>().join(" ")))
-}
-
-/// A channel's attenuation with its error, and its verdict.
-fn channel_in_words(channel: &Value) -> (String, &str) {
-    let attenuation = &channel["attenuation"];
-    let (value, error) = (number(&attenuation["value"], 4), number(&attenuation["error"], 4));
-    let name = channel["channel"].as_str().unwrap_or_default();
-    (format!("{name} {value} ± {error}"), channel["told"].as_str().unwrap_or_default())
-}
-
-fn number(value: &Value, decimals: usize) -> String {
-    value.as_f64().map_or_else(|| "–".into(), |value| format!("{value:.decimals$}"))
-}
-
-fn capitalised(text: &str) -> String {
-    let mut chars = text.chars();
-    chars.next().map_or_else(String::new, |first| first.to_uppercase().chain(chars).collect())
-}
-
 /// Notes on images and pairs that a mean leaves out because they have no such score.
 fn left_out(scores: &SceneScores) -> Vec<String> {
     let of = |m: &MethodScores| {
@@ -385,7 +314,7 @@ pub fn best_method(enhanced: Option<&Path>) -> Result<Method, StageError> {
 const OTHERS: [Mode; 3] = [Mode::Reconstruction, Mode::Depth, Mode::Medium];
 
 /// The caption of a scene's picture.
-fn caption(mode: Mode) -> &'static str {
+pub fn caption(mode: Mode) -> &'static str {
     match mode {
         Mode::Enhanced => "the scene, enhanced",
         Mode::EnhancedClear => "the scene, enhanced, without water",
@@ -635,26 +564,21 @@ fn dispersion(report: &TargetsReport) -> PlotFigure {
 }
 
 fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError> {
-    let caption = match report.appearance {
-        Appearance::Water if !report.kept_water.is_all() => {
-            "From left to right: the scene of stage 1 with part of its water removed, the proposal for this \
-             view, its change of colours after calibration, the consensus of all views (2D previews)."
-        }
-        Appearance::Water => {
-            "From left to right: the photograph, the proposal for this view, its change of colours after \
-             calibration, the consensus of all views (2D previews)."
-        }
-        Appearance::Clear => {
-            "From left to right: the scene of stage 1 without its water, the proposal for it, the change of \
-             colours of this view, the consensus of all views (2D previews)."
-        }
+    let first = match report.appearance {
+        Appearance::Water if !report.kept_water.is_all() => "the scene with less water",
+        Appearance::Water => "the photograph",
+        Appearance::Clear => "the scene without its water",
     };
+    let caption = format!(
+        "From left to right: {first}, the same corrected by the filter, then adjusted by pairs if there are any, and the \
+         correction on which all views agree."
+    );
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
     let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();
     paths.sort();
     let sheet = |path: &PathBuf| {
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-        Ok(Picture::embed_wide(&format!("Consensus on {stem}"), caption, &read_image(path)?, 1600)?)
+        Ok(Picture::embed_wide(&format!("Corrections of {stem}"), &caption, &read_image(path)?, 1600)?)
     };
     paths.iter().map(sheet).collect()
 }
@@ -662,26 +586,6 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn channels_with_the_same_verdict_share_a_sentence() {
-        let channel = |name: &str, told: &str| {
-            serde_json::json!({
-                "channel": name, "told": told, "attenuation": {"value": 0.03, "error": 0.004}
-            })
-        };
-        let mut water = serde_json::json!({
-            "told": "water known in red", "judgement": "partly",
-            "channels": [channel("red", "found"), channel("green", "unseen"), channel("blue", "unseen")],
-        });
-        assert_eq!(
-            water_from_tracks(&water).expect("an estimate"),
-            "Water known in red. The tracks give these attenuations per unit, which are not used. Red 0.0300 ± 0.0040 \
-             (found). Green 0.0300 ± 0.0040, blue 0.0300 ± 0.0040 (unseen)."
-        );
-        water["channels"] = serde_json::json!([]);
-        assert_eq!(water_from_tracks(&water), None);
-    }
 
     #[test]
     fn only_a_sheet_whose_last_row_ends_early_has_a_blank_corner() {

@@ -35,7 +35,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("targets", Scope::Scene, run)
-            .about("appearance transition consensus: scene-global and Gaussian-local targets")
+            .about("find the correction of colours on which all photographs agree")
             .promises(&[TARGETS, "report.json"])
             .delivers("targets")
             .when(|all| !learns_from_proposals(all))
@@ -111,6 +111,9 @@ pub(crate) mod definition {
     }
 }
 
+/// A dispersion below this means that the views agree well.
+const WELL: f64 = 0.3;
+
 fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     let capture = capture(context)?;
     let scene = scene(context, "scene")?;
@@ -145,15 +148,21 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
     );
     context.alive()?;
     let (targets, report) = built?;
-    context.say(format_args!(
+    context.detail(format_args!(
         "consensus of {} views: dispersion {:.4}, {} of {} Gaussians supported",
         report.views.len(),
         report.dispersion,
         report.supported,
         report.gaussians
     ));
+    let well = if report.dispersion < WELL { "well" } else { "only in part" };
+    context.say(format_args!(
+        "{} photographs agree {well} on the colours of the scene ({:.2}; below {WELL} is good)",
+        report.views.len(),
+        report.dispersion
+    ));
     if let Some(order) = &report.order {
-        context.say(format_args!(
+        context.detail(format_args!(
             "another order of the views moves {:.1} % of {} supported Gaussians by less than 0.1 interquartile units (95th percentile {:.3})",
             100.0 * order.within_tenth, order.compared, order.percentile_95
         ));

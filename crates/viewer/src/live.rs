@@ -44,6 +44,8 @@ pub struct Shown {
     pub white: Option<Arc<White>>,
     /// Number of training steps so far; `None` for a scene that is not trained here.
     pub step: Option<u64>,
+    /// True for the sparse points of a capture, which is no scene yet.
+    pub points: bool,
 }
 
 impl Shown {
@@ -55,7 +57,7 @@ impl Shown {
         step: Option<u64>,
     ) -> Self {
         let (scene, views) = (scene.into(), views.into());
-        Self { name, scene, views, metres_per_unit: None, saved: None, white: None, step }
+        Self { name, scene, views, metres_per_unit: None, saved: None, white: None, step, points: false }
     }
 
     fn page(&self) -> Page<'_> {
@@ -272,6 +274,7 @@ impl Live {
     ) {
         if let Some(header) = header {
             state.header = header;
+            state.header["points"] = shown.points.into();
             state.generation += 1;
         }
         state.version += 1;

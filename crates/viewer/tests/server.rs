@@ -34,6 +34,7 @@ fn shown() -> Shown {
         saved: None,
         white: None,
         step: None,
+        points: false,
     }
 }
 

@@ -68,10 +68,10 @@ impl Rules {
             return;
         }
         let text = format!(
-            "The masks hide {:.0} % of the points that the model saw: they are probably inverted.",
+            "The masks hide {:.0} % of what photographs have in common: black and white are probably exchanged.",
             100.0 * all.iter().sum::<f64>() / all.len() as f64
         );
-        let remedy = "masks are white where pixels count, and black on divers and fish: invert them \
+        let remedy = "a mask is black on divers and fish, and white elsewhere: exchange black and white \
             (`magick mogrify -negate masks/*.png`)";
         self.add(Severity::Serious, "inverted", text, remedy, list);
     }
@@ -91,7 +91,7 @@ impl Rules {
         worst.sort_by_key(|(points, _)| std::cmp::Reverse(*points));
         let most: Vec<_> = worst.iter().take(3).map(|(_, name)| shown(name)).collect();
         let text = format!(
-            "Something moves through {count} of {compared} views (most in {}), probably fish or divers. In the scene they become haze.",
+            "Something moves through {count} of {compared} photographs (most in {}), probably fish or divers. In the scene it becomes haze.",
             most.join(", ")
         );
         let remedy = "paint them black in masks (docs/guide/pictures.md)";
@@ -121,7 +121,7 @@ impl Rules {
                 "The photographs become {:.1} stops {way} along the swim, little by little.",
                 drift.abs()
             );
-            let remedy = "`--set reconstruct.exposure=per-view`; lock the exposure on the next dive";
+            let remedy = "run with `--set reconstruct.exposure=per-view`, which allows for it; lock the exposure on the next dive";
             self.minor("drift", text, remedy);
         }
     }
@@ -132,7 +132,7 @@ impl Rules {
         // No point can be found where something lies over the pictures.
         let covered = import.overlay.map_or(0.0, |overlay| overlay.share);
         if worst.bare < BARE.0 + covered {
-            self.good("reach", "Points that were found again cover the pictures to their edges.");
+            self.good("reach", "Known points cover the pictures up to their edges.");
             return;
         }
         let share = 100.0 * worst.bare;
@@ -158,8 +158,8 @@ impl Rules {
             _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
         };
         let text = format!(
-            "{place} of the pictures{camera} never hold a point that was found again in another picture, in any of {} \
-             views. The scene cannot be learnt there and will look like fog.",
+            "{place} of the pictures{camera} never show anything that another picture shows too, in any of {} \
+             photographs. The scene cannot be learnt there and will look like fog.",
             worst.views
         );
         let mut remedy = String::from(
@@ -190,8 +190,8 @@ impl Rules {
         if !list.is_empty() {
             let often = self.share(list.len()) > 0.2;
             let text =
-                format!("The exposure changes between neighbouring views, by up to {largest:.1} stops.");
-            let remedy = "`--set reconstruct.exposure=per-view`; lock the exposure on the next dive";
+                format!("The exposure changes from one photograph to the next, by up to {largest:.1} stops.");
+            let remedy = "run with `--set reconstruct.exposure=per-view`, which allows for it; lock the exposure on the next dive";
             self.add(serious_if(largest > EXPOSURE.1 || often), "exposure", text, remedy, list);
         } else if views.iter().any(|v| v.exposure_step.is_some()) {
             self.good("exposure", "The exposure is steady.");
@@ -199,10 +199,10 @@ impl Rules {
         let (largest, list) = steps(|v| v.balance_step, BALANCE);
         if !list.is_empty() {
             let text = format!(
-                "The white balance changes between neighbouring views, by up to {:.0} %.",
+                "The white balance changes from one photograph to the next, by up to {:.0} %.",
                 100.0 * largest
             );
-            let remedy = "`--set reconstruct.exposure=per-view`; set a fixed white balance on the next dive";
+            let remedy = "run with `--set reconstruct.exposure=per-view`, which allows for it; set a fixed white balance on the next dive";
             self.add(serious_if(largest > BALANCE.1), "balance", text, remedy, list);
         } else if views.iter().any(|v| v.balance_step.is_some()) {
             self.good("balance", "The white balance is steady.");
@@ -211,13 +211,13 @@ impl Rules {
         if !blurred.is_empty() {
             let (count, all) = (blurred.len(), self.views);
             let text = format!(
-                "{count} of {all} views {} blurred, compared with the views before and after.",
+                "{count} of {all} photographs {} blurred, compared with those before and after.",
                 are(count)
             );
             let remedy = "remove them from the folder of images; swim slower, with 1/240 s or shorter";
             self.add(serious_if(self.share(blurred.len()) > 0.1), "blur", text, remedy, blurred);
         } else {
-            self.good("blur", "No view is much less sharp than its neighbours.");
+            self.good("blur", "No photograph is much less sharp than those before and after it.");
         }
         // Files that use few of their bits are flat, too.
         let few_bits = self.found.iter().any(|finding| finding.subject == "range");
@@ -232,7 +232,7 @@ impl Rules {
         }
         let dark = names(views, |v| v.brightness.is_some_and(|b| b < DARK));
         if !dark.is_empty() {
-            let text = format!("{} of {} views {} very dark.", dark.len(), self.views, are(dark.len()));
+            let text = format!("{} of {} photographs {} very dark.", dark.len(), self.views, are(dark.len()));
             self.add(Severity::Minor, "dark", text, "expose longer, or remove them", dark);
         }
     }

@@ -181,10 +181,9 @@ pub(crate) enum Verb {
     )]
     Results(ResultsArgs),
     /// Show two runs side by side in one page: pictures, scores, and the parameters that differ.
-    #[command(
-        after_help = "Examples:\n  use3d compare use3d-out/my-reef use3d-out/my-reef-long --out compare.html\n  \
-        use3d compare my-reef:1 my-reef:2 --out compare.html      two runs into one folder (`use3d results my-reef`)"
-    )]
+    #[command(after_help = "Examples:\n  use3d compare use3d-out/my-reef use3d-out/my-reef-long\n  \
+        use3d compare my-reef:1 my-reef:2      two runs into one folder (`use3d results my-reef`)\n\n\
+        Two runs can be compared if they were tested on the same photographs in the same size.")]
     Compare(CompareArgs),
     /// List the artifacts in a store, or remove some.
     Store {

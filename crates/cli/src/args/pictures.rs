@@ -16,10 +16,10 @@ const MAX_FRAMES: u64 = 1_000_000;
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub(crate) enum FrameFormat {
-    /// 8-bit, clamped.
+    /// For looking: 256 steps, and what is brighter than white is cut off.
     #[default]
     Png,
-    /// 32-bit float, unclamped.
+    /// For measuring: numbers, and nothing is cut off.
     Exr,
 }
 
@@ -72,9 +72,10 @@ pub(crate) struct RenderArgs {
     /// The folder for the frames; each mode gets a folder of its own.
     #[arg(short, long, value_name = "DIR", required_unless_present_any = ["video", "fps"])]
     pub(crate) out: Option<PathBuf>,
-    /// The modes to render: reconstruction, clear, enhanced, enhanced-clear, depth, alpha, object, medium,
-    /// backscatter, attenuation. Default: the look that the scene's page opens with, or the looks in a path
-    /// file.
+    /// The looks to render: enhanced (for showing), reconstruction (as photographed), clear (without water:
+    /// for measuring the colour of near things, with --format exr), depth. For experts: enhanced-clear (too
+    /// strong colours), alpha, object, medium, backscatter, attenuation. Default: the look that the scene's
+    /// page opens with, or the looks in a path file.
     #[arg(long, value_delimiter = ',', value_name = "MODE,...")]
     pub(crate) modes: Vec<String>,
     /// The file format of the frames.
@@ -113,8 +114,7 @@ pub(crate) struct RenderArgs {
     /// Share of the enhancement to apply, 0 (reconstruction) to 1.
     #[arg(long, default_value_t = 1.0, value_name = "0..1", value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) strength: f32,
-    /// Share of the water to keep in reconstruction and enhanced, 0 (the same as clear and enhanced-clear) to
-    /// 1.
+    /// Water that is left in reconstruction and enhanced: 1 all of it, 0 none.
     #[arg(long, default_value_t = 1.0, value_name = "0..1", value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) water: f32,
     #[command(flatten)]
@@ -133,13 +133,13 @@ fn spz_version(text: &str) -> Result<u8, WorkError> {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(crate) enum ExportWhat {
-    /// Stage 1 with its water, baked into the colours as the cameras saw it.
+    /// The scene as photographed, in its water.
     Reconstruction,
-    /// Object radiance without water.
+    /// The scene without its water: true for near things, a guess for far ones.
     Clear,
-    /// The enhanced scene with its water, baked into the colours as the cameras saw it.
+    /// The enhanced scene, for showing.
     Enhanced,
-    /// Enhanced object radiance without water: the enhancement is baked into the colours.
+    /// For experts: the enhanced scene without its water; far things become too red.
     EnhancedClear,
 }
 
@@ -221,7 +221,7 @@ pub(crate) struct ExportArgs {
     /// that the page opens with.
     #[arg(long, value_enum)]
     pub(crate) what: Option<ExportWhat>,
-    /// Share of the look's water to keep, 0 to 1.
+    /// Water that is left in the look: 1 all of it, 0 none.
     #[arg(long, value_name = "SHARE", default_value_t = 1.0, value_parser = fraction, allow_negative_numbers = true)]
     pub(crate) water: f32,
     /// Leave out the sphere of Gaussians that shows open water behind the scene.

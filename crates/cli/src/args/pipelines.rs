@@ -131,9 +131,9 @@ pub(crate) struct CompareArgs {
     /// Another one.
     #[arg(value_name = "B")]
     pub(crate) b: String,
-    /// The page to write.
-    #[arg(short, long, value_name = "FILE.html", default_value = "compare.html")]
-    pub(crate) out: PathBuf,
+    /// The page to write (default: a name made of the two, and an earlier page of the same two is replaced).
+    #[arg(short, long, value_name = "FILE.html")]
+    pub(crate) out: Option<PathBuf>,
     #[command(flatten)]
     pub(crate) replace: Replace,
 }

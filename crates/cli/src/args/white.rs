@@ -8,7 +8,7 @@ use use3d_pipeline::white::WhiteChoice;
 /// `--white`, of verbs that show a scene.
 #[derive(Clone, Debug, Default, Args)]
 pub(crate) struct WhiteArgs {
-    /// Balance the colours of clear, enhanced and enhanced-clear: `off`; by a pixel of a photograph that
+    /// Balance the colours of clear and enhanced: `off`; by a pixel of a photograph that
     /// shows something grey or white (f_0001.jpg:812,430; may be repeated; the page and `use3d view` have a
     /// picker); by `reef` or `grey`; or by a file. Pixels, reef and grey need the capture, which a results
     /// folder and `run` know. Default: the balance that `use3d white` stored for the scene, or off.

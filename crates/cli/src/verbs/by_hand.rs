@@ -61,7 +61,7 @@ pub(crate) fn import(app: &App, args: &ImportArgs) -> Done {
         options: args.settings.options(None),
         ..ByHand::on(&args.capture, IMPORT)
     };
-    let next = format!("use3d reconstruct {} --out scene/", word(&args.out));
+    let next = format!("use3d run {}", word(&args.out));
     made(app, &args.out, &next, |work| {
         copy_folder(&hand.imported(&app.host, work, None, false)?, &args.out, force)
     })

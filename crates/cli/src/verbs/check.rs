@@ -64,12 +64,12 @@ pub(crate) fn run(app: &App, args: &CheckArgs) -> Done {
     let (_, judgement) = water.map_err(WorkError::input)?;
     let words = judgement.to_string();
     let water = match judgement {
-        Judgement::Found => WaterSight::Found("the water can be measured before the training"),
+        Judgement::Found => WaterSight::Found("the water can be measured in these photographs"),
         Judgement::Lamps => WaterSight::Lamps(
-            "colours fade with the distance as the light of lamps does, so the water cannot be measured beforehand",
+            "far things are dark as in the light of lamps, so the water cannot be measured beforehand",
         ),
         Judgement::Unknown => WaterSight::Unknown(
-            "the water cannot be measured in every colour beforehand, so the training learns it from the photographs",
+            "the water cannot be measured in every colour beforehand; it is learnt together with the scene",
         ),
         Judgement::Dry | Judgement::Sky | Judgement::Air => WaterSight::None(&words),
     };

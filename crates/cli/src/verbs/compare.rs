@@ -1,22 +1,22 @@
 //! `use3d compare`: writes a page with two runs side by side.
 
 use use3d_pipeline::compare;
-use use3d_pipeline::destination::{check_file, path_text, write_text};
+use use3d_pipeline::destination::path_text;
 
 use crate::App;
 use crate::args::CompareArgs;
-use crate::error::{Done, WorkError};
+use crate::error::Done;
 
 /// `use3d compare`.
 pub(crate) fn run(app: &App, args: &CompareArgs) -> Done {
-    check_file("--out", &args.out, args.replace.force, &["html"])?;
     let page = compare::page(&args.a, &args.b, format!("use3d {}", crate::version::NUMBER))?;
-    write_text("--out", &args.out, &page.html().map_err(WorkError::failed)?)?;
+    let out = compare::write(&page, (&args.a, &args.b), (args.out.as_deref(), args.replace.force))?;
     if !app.quiet {
-        for line in page.scenes.iter().flat_map(|scene| &scene.verdict) {
-            println!("{}", line.text);
+        for scene in &page.scenes {
+            scene.verdict.iter().for_each(|line| println!("{}", line.text));
+            println!("{}", scene.summary);
         }
-        eprintln!("{}: open it in a browser", path_text(&args.out));
+        eprintln!("{}: open it in a browser", path_text(&out));
     }
     Ok(())
 }

@@ -188,23 +188,29 @@ fn networks(models: Option<&Path>) -> Vec<Finding> {
     use3d_nets::models::KNOWN.iter().map(find).collect()
 }
 
+/// Cards are looked for in a process of their own: drivers write warnings to its error stream, and some
+/// of them end the process.
 #[cfg(feature = "gpu")]
 fn cards() -> Vec<Finding> {
     let purpose = "trains and draws faster than the processor: --gpu";
-    let found: Vec<Finding> = use3d_gpu::checked_adapters()
-        .iter()
-        .map(|(report, said)| match said {
-            Ok(_) if report.is_software() => {
+    let said = std::env::current_exe().and_then(|use3d| {
+        Command::new(use3d).args(["devices", "--json"]).stdin(Stdio::null()).stderr(Stdio::null()).output()
+    });
+    let listed: serde_json::Value =
+        said.ok().and_then(|output| serde_json::from_slice(&output.stdout).ok()).unwrap_or_default();
+    let card = |adapter: &serde_json::Value| -> Option<Finding> {
+        let name = use3d_capture::name::shown(adapter["name"].as_str()?);
+        Some(match adapter["refusal"].as_str() {
+            Some(refusal) => Finding::new(&name, false, refusal, purpose).otherwise("problem"),
+            None if adapter["kind"] == "software" => {
                 let told =
                     "passes its check, but is a software adapter on the processor; it is used only by name";
-                Finding::new(&report.name, false, told, "").otherwise("unused")
+                Finding::new(&name, false, told, "").otherwise("unused")
             }
-            Ok(_) => Finding::new(&report.name, true, "passes its check", purpose),
-            Err(refusal) => {
-                Finding::new(&report.name, false, refusal.to_string(), purpose).otherwise("problem")
-            }
+            None => Finding::new(&name, true, "passes its check", purpose),
         })
-        .collect();
+    };
+    let found: Vec<Finding> = listed["adapters"].as_array().into_iter().flatten().filter_map(card).collect();
     if found.is_empty() {
         let told = "no card was found; a card needs a driver for Vulkan or Metal";
         return vec![Finding::new("graphics card", false, told, purpose)];

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use use3d_capture::{Camera, FileName, path, stem};
 use use3d_io_image::{write_exr, write_exr_map, write_png, write_png_map};
+use use3d_pipeline::baked::CutOff;
 use use3d_pipeline::destination::{check_file, path_text};
 use use3d_pipeline::scene_views::{any_known, held_out, placed};
 use use3d_reconstruct::EngineChoice;
@@ -19,9 +20,16 @@ use crate::args::{CameraPath, EngineArgs, FrameFormat, RenderArgs};
 use crate::error::{Done, WorkError};
 use crate::size::parse_size;
 
-/// The doubt about a look whose colours are too strong in its scene.
-pub(crate) const TOO_STRONG: &str = "enhanced-clear: the colours were learnt through water and are too strong without \
-    it, so far things become red; `enhanced` is the look for showing";
+/// The doubt about `enhanced-clear`, whose colours are too strong in most scenes.
+pub(crate) fn too_strong(cut_off: CutOff) -> String {
+    let share = cut_off.share().map_or_else(String::new, |share| {
+        format!("; {:.1} % of its colour values are brighter than white and cut off", 100.0 * share)
+    });
+    format!(
+        "warning: enhanced-clear is for experts: its colours were learnt through water and are too strong without it, so \
+         far things become red{share}; `enhanced` is the look for showing"
+    )
+}
 
 /// Frames per second of a film of cameras that have no rate of their own.
 pub(crate) const FRAME_RATE: f64 = 30.0;

@@ -14,7 +14,7 @@ use crate::App;
 use crate::args::{ExportArgs, ExportFrame, ExportWhat, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt::ends_soon;
-use crate::verbs::drawing::TOO_STRONG;
+use crate::verbs::drawing::too_strong;
 use crate::verbs::{web, white};
 
 pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
@@ -44,6 +44,8 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     let _ends_soon = ends_soon();
     let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
     let args = &ExportArgs { scene: app.scene_in(&args.scene)?, cameras, ..args.clone() };
+    let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
+    frame.check(&args.scene)?;
     let scene = Scene::load(&args.scene).map_err(WorkError::input)?;
     let white = white::of(app, &args.white, &args.scene, &scene, args.cameras.as_deref())?;
     if let Some(path) = &args.web {
@@ -61,11 +63,10 @@ pub(crate) fn run(app: &App, args: &ExportArgs) -> Done {
     };
     let mut tell = |line: String| eprintln!("{line}");
     let tell: Option<&mut dyn FnMut(String)> = if app.quiet { None } else { Some(&mut tell) };
-    if look.mode.is_some_and(|mode| mode.is_too_strong(&scene)) {
-        remark!(app, "{TOO_STRONG}");
+    if let Some(cut_off) = look.cut_off(&scene, &args.scene)? {
+        remark!(app, "{}", too_strong(cut_off));
     }
     let exported = ExportedScene::bake((&scene, &args.scene), &look, tell)?;
-    let frame = args.frame.map_or(GaussianFrame::default(), ExportFrame::frame);
     files(args).try_for_each(|(format, flag, _, path)| {
         let made_with = format!("use3d {}", crate::version::NUMBER);
         let written = exported.write((flag, path), format, frame, made_with)?;

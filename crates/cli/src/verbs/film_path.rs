@@ -4,6 +4,7 @@ use std::path::Path;
 
 use use3d_capture::FileName;
 use use3d_import::read_images_txt;
+use use3d_pipeline::baked::CutOff;
 use use3d_pipeline::destination::path_text;
 use use3d_pipeline::scene_views::text_of;
 use use3d_render::{Mode, SceneRenderer};
@@ -17,7 +18,7 @@ use crate::args::RenderArgs;
 use crate::error::{Done, WorkError};
 use crate::interrupt;
 use crate::size::parse_size;
-use crate::verbs::drawing::{FRAME_RATE, Frames, modes};
+use crate::verbs::drawing::{FRAME_RATE, Frames, modes, too_strong};
 
 /// The folder for frames with the path's own looks.
 const OWN: &str = "path";
@@ -91,6 +92,7 @@ pub(crate) fn run(
     let folder = given.is_empty().then_some(OWN);
     let mut written = Frames::create(args, folder, first, &names, path.frames_per_second)?;
     let mut renderer: Option<((f32, f32), SceneRenderer<'_>)> = None;
+    let mut cut_off = CutOff::default();
     for (i, ((frame, looks), name)) in frames.iter().zip(&looks).zip(&names).enumerate() {
         interrupt::check()?;
         app.host.progress("render", i as u64, frames.len() as u64, "frames", name);
@@ -107,7 +109,11 @@ pub(crate) fn run(
         let mut camera = frame.camera;
         camera.pose = scene.frame.apply_pose(&camera.pose);
         let pictures = drawing.render(&camera, looks).map_err(WorkError::failed)?;
+        cut_off.add(scene, looks, &pictures);
         written.add(name, looks, &pictures)?;
+    }
+    if cut_off.share().is_some() {
+        remark!(app, "{}", too_strong(cut_off));
     }
     written.finish(app, frames.len(), "", &format!(" of {width}x{height}"))
 }

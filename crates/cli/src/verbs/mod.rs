@@ -13,6 +13,7 @@ pub(crate) mod evaluate;
 pub(crate) mod export;
 pub(crate) mod film_path;
 pub(crate) mod generate;
+pub(crate) mod keep_white;
 pub(crate) mod models;
 pub(crate) mod params;
 pub(crate) mod photographs;

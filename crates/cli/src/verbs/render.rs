@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use use3d_capture::{Camera, FileName};
+use use3d_pipeline::baked::CutOff;
 use use3d_pipeline::found::capture_in;
-use use3d_render::{Mode, Rendering};
+use use3d_render::Mode;
 use use3d_scene::Scene;
 use use3d_scene::white::Gains;
 
@@ -13,7 +14,7 @@ use crate::App;
 use crate::args::{CameraPath, FrameFormat, RenderArgs, check_shares};
 use crate::error::{Done, WorkError};
 use crate::interrupt;
-use crate::verbs::drawing::{FRAME_RATE, Frames, TOO_STRONG, cameras, drawn, modes, renderer};
+use crate::verbs::drawing::{FRAME_RATE, Frames, cameras, drawn, modes, renderer, too_strong};
 use crate::verbs::{film_path, speed, white};
 
 pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
@@ -47,21 +48,16 @@ pub(crate) fn run(app: &App, args: &RenderArgs) -> Done {
     let files = files(&cameras, args.format)?;
     let mut written = Frames::create(args, None, &modes, &files, FRAME_RATE)?;
     let mut renderer = renderer(args, &drawn)?.with_white(gains);
-    let too_strong = modes.iter().position(|mode| mode.is_too_strong(&scene));
-    let (mut white, mut values) = (0, 0);
+    let mut cut_off = CutOff::default();
     for (i, ((name, camera), file)) in cameras.iter().zip(&files).enumerate() {
         interrupt::check()?;
         app.host.progress("render", i as u64, cameras.len() as u64, "frames", name);
         let frames = renderer.render(camera, &modes).map_err(WorkError::failed)?;
-        if let Some(Rendering::Color(image)) = too_strong.and_then(|k| frames.get(k)) {
-            white += image.data().iter().filter(|value| **value >= 1.0).count();
-            values += image.data().len();
-        }
+        cut_off.add(&scene, &modes, &frames);
         written.add(file, &modes, &frames)?;
     }
-    if values > 0 {
-        let share = 100.0 * white as f64 / values as f64;
-        remark!(app, "{TOO_STRONG}; {share:.1} % of its values are cut off at white");
+    if cut_off.share().is_some() {
+        remark!(app, "{}", too_strong(cut_off));
     }
     let (first, all) = (format!(" of {}", names[0]), format!(", modes {}", names.join(", ")));
     written.finish(app, cameras.len(), &first, &all)

@@ -53,7 +53,7 @@ fn bring_back(app: &App, results: &Path, number: usize) -> Done {
             known.join(", ")
         )));
     };
-    run::again(app, record, results).map_err(|error| match error {
+    run::again(app, record, results, false).map_err(|error| match error {
         WorkError::Input(what) => WorkError::Input(format!("run {number} of {}: {what}", word(results))),
         other => other,
     })

@@ -8,10 +8,11 @@ use use3d_cluster::cells::SubmittedCells;
 use use3d_cluster::quote;
 use use3d_config::LoadOptions;
 use use3d_pipeline::by_hand::{IMPORT, scratch};
-use use3d_pipeline::destination::OUT;
+use use3d_pipeline::destination::{OUT, path_text};
 use use3d_pipeline::history::{self, RunRecord};
 use use3d_pipeline::loaded::{Loaded, PipelineRequest};
 use use3d_pipeline::outcome::{self, Outcome};
+use use3d_pipeline::preparation::capture_of;
 use use3d_pipeline::remarks;
 use use3d_pipeline::results::{Delivered, Results, scenes_of};
 use use3d_pipeline::white::{self, WhiteChoice};
@@ -96,6 +97,15 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         |request: &PipelineRequest| request.options.sets.iter().any(|set| set.contains("model_dir"));
     let prepares = !args.dry_run && !elsewhere(&given);
     let (mut pipeline, results) = resolved(given);
+    if args.dry_run
+        && !elsewhere(&pipeline)
+        && let Some((_, capture)) = capture_of(&pipeline.target, args.out.as_deref())?
+    {
+        if use3d_import::check_layout(&capture).is_err() {
+            return unprepared(&pipeline.target, &capture, args.json);
+        }
+        pipeline.target = capture;
+    }
     // A film or a folder of photographs is prepared as a capture first.
     if prepares && let Some(capture) = prepare::capture_for(app, &pipeline.target, args.out.as_deref())? {
         pipeline.target = capture;
@@ -172,16 +182,25 @@ pub(crate) fn run(app: &App, args: &RunArgs) -> Done {
         ..of_app(app)
     };
     let white = (!choices.is_empty()).then_some((choices, pipeline.target.as_path()));
-    let given = Given {
-        pipeline: &pipeline,
-        white,
-        plan,
-        submitted,
-        photographs: args.photographs,
-        report_only: args.report_only,
-    };
+    let (photographs, report_only) = (args.photographs, args.report_only);
+    let given = Given { white, plan, submitted, photographs, report_only, ..Given::of(&pipeline) };
     let out = (results.as_ref(), &given);
     watched(app, &args.watch, None, |app| execute(app, &loaded, &options, out, args.json))
+}
+
+/// Prints the beginning of the plan for a film or a folder of photographs: cameras are found first, and the
+/// other stages follow from them.
+fn unprepared(target: &Path, capture: &Path, as_json: bool) -> Done {
+    if as_json {
+        return output::json(&serde_json::json!({ "prepares": target, "capture": capture }));
+    }
+    println!(
+        "run      prepare {}: choose frames and find the cameras, into {}\n\
+         waits    everything else: it is planned when the cameras are known",
+        path_text(target),
+        path_text(capture)
+    );
+    Ok(())
 }
 
 /// Prints the gravest faults of a capture folder that is imported for the first time.
@@ -201,10 +220,12 @@ fn tell_why(plan: &Plan) {
     if plan.to_run() > unknown {
         let besides =
             if unknown > 0 { format!(" plus {unknown} stages that never ran before") } else { String::new() };
-        eprintln!("the whole run will take about {}{besides}, judging by earlier runs", seconds(forecast));
+        eprintln!("about {}{besides} for the whole run, as in earlier runs", seconds(forecast));
     }
     if let Some(expected) = plan.expected() {
-        eprintln!("stages that never ran will take {expected}, judging by the sizes of the pictures");
+        eprintln!(
+            "about {expected}: a guess from the sizes of the pictures, because these stages never ran here"
+        );
     }
 }
 
@@ -226,6 +247,16 @@ struct Given<'a> {
     photographs: bool,
     /// True if the scenes stay in the cache.
     report_only: bool,
+    /// True if nothing is printed.
+    silent: bool,
+}
+
+impl<'a> Given<'a> {
+    /// A run without any of these.
+    fn of(pipeline: &'a PipelineRequest) -> Self {
+        let (photographs, report_only, silent) = (false, false, false);
+        Self { pipeline, white: None, plan: None, submitted: None, photographs, report_only, silent }
+    }
 }
 
 /// The pipeline of a request. If its target is a results folder, this is the pipeline that was run into it,
@@ -237,11 +268,11 @@ fn resolved(request: PipelineRequest) -> (PipelineRequest, Option<PathBuf>) {
     }
 }
 
-/// Restores the results of an earlier run into their folder.
+/// Restores the results of an earlier run into their folder; prints nothing if `silent`.
 ///
 /// # Errors
 /// Some results are no longer in the cache. Nothing is computed.
-pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
+pub(crate) fn again(app: &App, record: &RunRecord, results: &Path, silent: bool) -> Done {
     let scenes = LoadOptions { scenes: record.scenes.clone(), ..LoadOptions::default() };
     let request = record.request(&PipelineRequest { options: scenes, ..PipelineRequest::default() });
     let loaded = request.open()?;
@@ -255,14 +286,7 @@ pub(crate) fn again(app: &App, record: &RunRecord, results: &Path) -> Done {
         )));
     }
     let options = RunOptions { until: record.until.clone(), ..of_app(app) };
-    let given = Given {
-        pipeline: &request,
-        white: None,
-        plan: None,
-        submitted: None,
-        photographs: false,
-        report_only: false,
-    };
+    let given = Given { silent, ..Given::of(&request) };
     let until = record.until.as_deref();
     let results = Arc::new(Results::new(results, &loaded.builder.cache, &loaded.graph, until));
     execute(app, &loaded, &options, (Some(&results), &given), false)
@@ -309,12 +333,12 @@ fn execute(
     }
     if as_json {
         output::json(&Outcome::new(&summary, &delivered))?;
-    } else {
+    } else if !given.silent {
         print!("{summary}");
     }
     // The places were checked before, so an error here comes from the disk and not from the arguments.
     let delivered = delivered.map_err(WorkError::failed)?;
-    let quiet = app.quiet || as_json;
+    let quiet = app.quiet || as_json || given.silent;
     if !quiet {
         outcome::lines(&delivered).iter().for_each(|line| println!("{line}"));
     }
@@ -422,14 +446,7 @@ pub(crate) fn demo(app: &App, args: &DemoArgs) -> Done {
     let results = Arc::new(Results::new(&args.out, &loaded.builder.cache, &loaded.graph, None));
     results.check(&loaded.graph, None)?;
     let plan = (!app.quiet).then(|| loaded.builder.plan(&loaded.graph, None));
-    let given = Given {
-        pipeline: &pipeline,
-        white: None,
-        plan,
-        submitted: None,
-        photographs: false,
-        report_only: false,
-    };
+    let given = Given { plan, ..Given::of(&pipeline) };
     execute(app, &loaded, &of_app(app), (Some(&results), &given), false)?;
     if !app.quiet {
         println!("The demo took {}.", seconds(started.elapsed().as_secs_f64()));

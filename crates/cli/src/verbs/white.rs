@@ -1,15 +1,13 @@
-//! `use3d white`: stores the white balance of a scene beside it; also `--white` of every verb that shows a
-//! scene.
+//! The white balance of a scene: `--white` of every verb that shows one, and the balance beside it.
 
 use std::path::Path;
 
-use use3d_pipeline::destination::{check_file, path_text, word};
-use use3d_pipeline::found::capture_in;
+use use3d_pipeline::destination::{path_text, word};
 use use3d_pipeline::white::{self, WhiteChoice, measured};
 use use3d_scene::{Scene, White};
 
 use crate::App;
-use crate::args::{KeepWhiteArgs, WhiteArgs};
+use crate::args::WhiteArgs;
 use crate::error::{Done, WorkError};
 
 /// The white balance with which a verb shows a scene: from `--white`, or the stored one.
@@ -39,7 +37,7 @@ pub(crate) fn of(
 }
 
 /// Prints the effect of a white balance, and its range.
-fn tell(app: &App, white: &White, scene: &Scene) {
+pub(crate) fn tell(app: &App, white: &White, scene: &Scene) {
     white::lines(white, scene).iter().for_each(|line| remark!(app, "{line}"));
 }
 
@@ -53,51 +51,9 @@ pub(crate) fn keep_for(app: &App, choices: &[WhiteChoice], folder: &Path, captur
 }
 
 /// Stores a white balance beside a scene, or removes the stored one.
-fn keep(app: &App, white: Option<&White>, folder: &Path) -> Done {
+pub(crate) fn keep(app: &App, white: Option<&White>, folder: &Path) -> Done {
     if let (Some(earlier), Some(_)) = (white::keep(white, folder)?, white) {
         remark!(app, "the earlier white balance by {} is replaced", earlier.method.name());
-    }
-    Ok(())
-}
-
-/// `use3d white`.
-pub(crate) fn run(app: &App, args: &KeepWhiteArgs) -> Done {
-    let folder = app.scene_in(&args.scene)?;
-    if let Some(out) = &args.out {
-        check_file("--out", out, args.replace.force, &["json"])?;
-    }
-    let scene = Scene::load(&folder).map_err(WorkError::input)?;
-    let (white, place) = if args.choices.is_empty() {
-        let stored = White::beside(&folder).map_err(WorkError::input)?;
-        match (&args.out, &stored) {
-            (Some(out), Some(white)) => white.write(out).map_err(WorkError::failed)?,
-            (Some(_), None) => {
-                return Err(WorkError::input(
-                    "--out: the scene has no white balance to write; give a choice, such as VIEW:X,Y",
-                ));
-            }
-            (None, _) => {}
-        }
-        (stored, args.out.clone().unwrap_or_else(|| White::place(&folder)))
-    } else {
-        let cameras = args.cameras.clone().or_else(|| capture_in(&args.scene));
-        let white = measured(&args.choices, &scene, cameras.as_deref())?;
-        match (&args.out, &white) {
-            (Some(out), Some(white)) => white.write(out).map_err(WorkError::failed)?,
-            (Some(_), None) => return Err(WorkError::input("off writes no file: leave out --out")),
-            (None, white) => keep(app, white.as_ref(), &folder)?,
-        }
-        (white, args.out.clone().unwrap_or_else(|| White::place(&folder)))
-    };
-    if args.json {
-        return crate::output::json(&white);
-    }
-    match &white {
-        Some(white) => {
-            println!("{}", path_text(&place));
-            tell(app, white, &scene);
-        }
-        None => remark!(app, "no white balance: colours unchanged"),
     }
     Ok(())
 }

@@ -42,7 +42,7 @@ fn duplicates() {
     let dir = tempfile::tempdir().unwrap();
     let capture = faulty(dir.path(), "same-twice:strong");
     let (document, said, _) = imported(&capture).unwrap();
-    assert!(said.contains("have copies") && said.contains("held out, too"), "{said}");
+    assert!(said.contains("have copies") && said.contains("kept back, too"), "{said}");
     let report = &document["report"];
     let of = |list: &str| -> Vec<Vec<u8>> {
         let names = report[list].as_array().unwrap().iter().map(|n| n.as_str().unwrap());

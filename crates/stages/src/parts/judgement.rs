@@ -30,6 +30,22 @@ impl Judgement {
         }
     }
 
+    /// The judgement in the words of a diver.
+    pub(crate) fn in_short(self) -> &'static str {
+        match self {
+            Self::Found => {
+                "the water was measured in the photographs: colours fade from near to far as in water"
+            }
+            Self::Dry | Self::Sky | Self::Air => "no water found in the photographs, so none is learnt",
+            Self::Lamps => {
+                "the water could not be measured before, because lamps light what is near; it is learnt with the scene"
+            }
+            Self::Unknown => {
+                "the water could not be measured before in every colour; it is learnt with the scene"
+            }
+        }
+    }
+
     /// True if there is no water.
     pub fn no_water(self) -> bool {
         matches!(self, Self::Dry | Self::Sky | Self::Air)

@@ -19,4 +19,5 @@ pub(crate) mod transition_sources;
 pub(crate) mod visits;
 pub(crate) mod watch;
 pub mod water;
+pub(crate) mod water_words;
 pub(crate) mod weights;

@@ -69,7 +69,8 @@ impl<'s> TransitionSources<'s> {
             Pictures::Renders { views: Box::new(KnownViews::new(scene)), shown, proposer }
         };
         let starts = Self { pictures, calibrator, proposer: id };
-        context.say(starts.message(context));
+        context.detail(starts.message(context));
+        context.say(starts.in_short(context));
         Ok(starts)
     }
 
@@ -115,6 +116,27 @@ impl<'s> TransitionSources<'s> {
             Pictures::InAir => String::new(),
         };
         format!("`{}` proposes for {pictures}; {calibrated}", self.proposer.name)
+    }
+
+    /// The choice in the words of a diver.
+    fn in_short(&self, context: &StageContext) -> String {
+        let filter = match self.proposer.name.as_str() {
+            "fusion" => "the built-in filter".to_string(),
+            name => format!("the filter {name}"),
+        };
+        let water = match &self.pictures {
+            Pictures::Renders { shown: None, .. } => "; all of the water was removed before".to_string(),
+            Pictures::Renders { shown: Some(KeptWater(left)), .. } => {
+                let left: f64 = left.iter().map(|share| f64::from(*share) / 3.0).sum();
+                format!("; {:.0} % of the water was removed before", 100.0 * (1.0 - left))
+            }
+            Pictures::Photographs(_) | Pictures::InAir => String::new(),
+        };
+        let pairs = match context.optional_input("calibrator") {
+            Some(_) => ", adjusted by what was learnt from your pairs of pictures",
+            None => "",
+        };
+        format!("colours are corrected by {filter}{pairs}{water}")
     }
 
     fn uncalibrated(pictures: Pictures<'s>, proposer: ProposerId) -> Self {

@@ -10,9 +10,7 @@ pub(crate) struct Watch<'a>(pub(crate) &'a StageContext);
 impl Observer for Watch<'_> {
     fn progress(&mut self, progress: &TrainingProgress) {
         let words = [
-            progress.loss.map(|loss| format!("loss {loss:.4}")),
             progress.psnr.map(|psnr| format!("{psnr:.2} dB")),
-            progress.gaussians.map(|gaussians| format!("{gaussians} Gaussians")),
             progress.steps_per_second.map(|pace| format!("{pace:.1} steps/s")),
         ];
         let words = words.into_iter().flatten().collect::<Vec<_>>().join(", ");

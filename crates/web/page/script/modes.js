@@ -20,8 +20,9 @@ const openingMode = header => (header.enhancement ? (header.enhancement.water ? 
 const NO_GAINS = [1, 1, 1];
 const gainsOf = look => look.white?.[look.mode] ?? NO_GAINS;
 
-// The modes that a scene has. `all` also offers those for experts.
+// The modes that a scene has. `all` also offers those for experts. The points of a capture have two.
 const modesOf = (header, all) => Object.keys(MODES).filter(name => {
   const mode = MODES[name];
+  if (header.points) return name === 'reconstruction' || name === 'depth';
   return (!mode.graded || header.enhancement) && (name !== 'medium' || header.medium.kind !== 'none') && !(mode.water && header.medium.of) && (all || !mode.expert || name === openingMode(header));
 });

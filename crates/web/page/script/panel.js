@@ -3,6 +3,7 @@
 
 function makePanel(viewer, navigation, server) {
   const { header, camera } = viewer, modes = modesOf(header, server);
+  if (header.points) Object.assign(MODES.reconstruction, { title: 'Points', about: 'The places that several photographs share, and the cameras. `use3d run` makes a scene of them.' });
 
   // Tabs follow the ARIA pattern: arrow keys move between them, and only one is in the tab order.
   const tabs = [...document.querySelectorAll('[role=tab]')];
@@ -111,7 +112,7 @@ function makePanel(viewer, navigation, server) {
   ].filter(Boolean).join(' · ');
   element('facts').hidden = !element('facts').textContent;
   // The number of Gaussians changes during training, so it is left out.
-  element('about-scene').textContent = `${[header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.of ?? header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced'].filter(Boolean).join(' · ')}.`;
+  element('about-scene').textContent = header.points ? `${header.count.toLocaleString('en')} points of a capture; no scene yet.` : `${[header.sections.length ? `${header.count.toLocaleString('en')} Gaussians` : null, water_[header.medium.of ?? header.medium.kind], header.enhancement ? 'enhanced' : 'not enhanced'].filter(Boolean).join(' · ')}.`;
   return { actions, open: name => open(element(`tab-${name}`)), modes };
 }
 

@@ -2,7 +2,7 @@
 
 function makeViews(viewer, overlay) {
   const { header, camera } = viewer, cameras = header.cameras, list = element('cameras');
-  const views = { current: -1, showPhoto: true, showFrusta: false };
+  const views = { current: -1, showPhoto: true, showFrusta: element('show-frusta').checked = !!header.points };
   element('no-cameras').hidden = cameras.length > 0;
   element('camera-tools').hidden = cameras.length === 0;
   list.hidden = cameras.length === 0;

@@ -28,6 +28,7 @@ fn the_program_draws_for_the_page_and_a_training_is_watched() {
         saved: None,
         white: None,
         step: Some(step),
+        points: false,
     };
 
     // There is no scene yet: the page shows what it waits for, and continues by itself.
@@ -176,6 +177,7 @@ fn a_finished_scene_is_drawn_by_the_browser_and_a_wrong_key_opens_nothing() {
         saved: None,
         white: None,
         step: None,
+        points: false,
     };
     live.hand_over(shown).expect("data");
     browser.go(&format!("{},webgl", server.address()));

@@ -320,7 +320,8 @@ impl Job<'_> {
             reached: Arc::default(),
         };
         let (node, label, key, threads) = (self.id, self.label.as_str(), self.resolved.key, self.threads);
-        self.listener.event(&Event::Started { node, label, key, threads });
+        let about = stage.about;
+        self.listener.event(&Event::Started { node, label, about, key, threads });
         let start = Instant::now();
         let ((ran, processor_seconds), peak_memory) =
             watched(lease, claim, &cache.node.clock, &context.reached, || {

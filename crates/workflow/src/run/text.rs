@@ -81,7 +81,7 @@ impl Plan {
 
     fn count_all(&self, f: &mut impl Write) -> fmt::Result {
         let shared = self.nodes.len() - self.own().count();
-        write!(f, "{}: {} to run, {} cached", self.pipeline, self.to_run(), self.cached())?;
+        write!(f, "{}: {} to run, {} kept from before", self.pipeline, self.to_run(), self.cached())?;
         count(f, &[(shared, "shared between variants")])?;
         count(f, &[(self.unavailable(), "cannot run"), (self.blocked(), "not run because of these")])?;
         let (sum, without) = self.forecast();
@@ -94,11 +94,9 @@ impl Plan {
             if without > 0 {
                 write!(f, " plus {without} that never ran before")?;
             }
-        } else if without > 0 {
-            write!(f, "; no earlier run to forecast the time from")?;
         }
         match self.expected() {
-            Some(expected) => write!(f, "; by the sizes of the pictures {expected}"),
+            Some(expected) => write!(f, "; about {expected}, a guess from the sizes of the pictures"),
             None => Ok(()),
         }
     }
@@ -130,11 +128,15 @@ fn changes(all: &[Difference]) -> String {
         match change.ingredient.split_once(' ') {
             Some(("input", name)) => inputs.push(name),
             Some(("code" | "third-party" | "artifact", _)) => program = true,
+            Some(("parameter", name)) => {
+                let [old, new] = [&change.old, &change.new].map(|v| v.as_deref().unwrap_or("not set"));
+                said.push(format!("the setting {name} was {old} and is {new} now"));
+            }
             _ => said.push(change.to_string()),
         }
     }
     if !inputs.is_empty() {
-        said.push(format!("what it reads is new: {}", few(&inputs, ", ")));
+        said.push(format!("the results that it starts from are new: {}", few(&inputs, ", ")));
     }
     if program {
         said.push("the program is another version".into());
@@ -175,7 +177,14 @@ impl Display for Summary {
             }
             let blocked = self.count(|r| matches!(r, NodeResult::Blocked(_)));
             let not_run = self.count(|r| *r == NodeResult::NotRun);
-            write!(f, "{}: {} done, {} cached", self.pipeline, self.done(), self.cached())?;
+            let stages = if self.done() == 1 { "stage" } else { "stages" };
+            write!(
+                f,
+                "{}: {} {stages} done, {} kept from before",
+                self.pipeline,
+                self.done(),
+                self.cached()
+            )?;
             let (failed, missing) = (self.failed().count(), self.missing().count());
             count(f, &[(failed, "failed"), (blocked, "not run because of these"), (not_run, "not run")])?;
             count(f, &[(missing, "missing"), (self.elsewhere(), "left to other processes")])?;
@@ -394,8 +403,8 @@ mod tests {
             change("input import", "a", "b"),
         ];
         let said = changes(&all);
-        let wanted = "parameter iterations: 200 → 3000; what it reads is new: scene, import; the program is \
-                      another version";
+        let wanted = "the setting iterations was 200 and is 3000 now; the results that it starts from are new: \
+                      scene, import; the program is another version";
         assert_eq!(said, wanted);
     }
 }

@@ -180,6 +180,13 @@ impl StageContext {
         self.listener.event(&Event::Note { label: &self.label, text: &line });
     }
 
+    /// Writes a line to the log and shows it to a user who asks for details.
+    pub fn detail(&self, line: impl Display) {
+        let line = line.to_string();
+        self.log.line(&line);
+        self.listener.event(&Event::Detail { label: &self.label, text: &line });
+    }
+
     /// Returns true if [`note`](Self::note) keeps notes: not where a stage is run by hand, or again to verify
     /// it.
     pub fn keeps_notes(&self) -> bool {

@@ -18,6 +18,8 @@ pub enum Event<'a> {
         node: usize,
         /// Scene, variant and stage, for display.
         label: &'a str,
+        /// The stage's work, for display.
+        about: &'a str,
         /// Its key.
         key: Digest,
         /// Number of its threads.
@@ -127,6 +129,13 @@ pub enum Event<'a> {
     },
     /// A message for the user.
     Note {
+        /// The subject of the message.
+        label: &'a str,
+        /// The message.
+        text: &'a str,
+    },
+    /// A message with technical details, for display on request.
+    Detail {
         /// The subject of the message.
         label: &'a str,
         /// The message.

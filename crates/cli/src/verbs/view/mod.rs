@@ -39,7 +39,10 @@ pub(crate) fn run(app: &App, args: &ViewArgs) -> Done {
         return Err(WorkError::input("name what to show: a scene, a capture, or --follow FILE"));
     };
     let cameras = args.cameras.clone().or_else(|| capture_in(target));
-    let shown = shown(app, &app.scene_in(target)?, cameras.as_deref(), args)?;
+    // A capture is shown also where results were made of it.
+    let is_capture = use3d_import::check_layout(target).is_ok();
+    let target = if is_capture { target.clone() } else { app.scene_in(target)? };
+    let shown = shown(app, &target, cameras.as_deref(), args)?;
     let _server = serve(app, args.port, args.no_open, &live, Stream::Result)?;
     live.hand_over(shown).map_err(WorkError::input)?;
     while !app.host.stops() {
@@ -75,7 +78,7 @@ fn shown(app: &App, target: &Path, cameras: Option<&Path>, args: &ViewArgs) -> R
     let given = args.metres_per_unit.or_else(|| saved.as_ref()?.metres_per_unit);
     let known = imported.model.world.as_ref().map(|world| world.metres_per_unit);
     let shown = Shown::new(imported.capture.name, scene, views, None);
-    Ok(Shown { metres_per_unit: given.or(known), saved, ..shown })
+    Ok(Shown { metres_per_unit: given.or(known), saved, points: true, ..shown })
 }
 
 /// The stream for the address: stdout for `use3d view`, whose result it is, and stderr for a training.
