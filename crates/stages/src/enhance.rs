@@ -100,8 +100,9 @@ impl LabelSource for Proposals<'_> {
     }
 }
 
-/// Messages on the errors before and after stage 2. An error that grew although it was weighted is a warning.
-fn reached(context: &StageContext, report: &Report, params: &EnhanceParams) -> Vec<String> {
+/// Messages on the errors before and after stage 2, with the figures as the detail. An error that grew although it
+/// was weighted is a warning.
+fn reached(report: &Report, params: &EnhanceParams, detail: &mut dyn FnMut(String)) -> Vec<String> {
     let measuring = TERMS.iter().filter(|row| row.measures_errors());
     let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();
     let Some(errors) = errors else {
@@ -113,14 +114,14 @@ fn reached(context: &StageContext, report: &Report, params: &EnhanceParams) -> V
     };
     let each = errors.iter().map(|(row, (before, after))| format!("{} {before:.3} → {after:.3}", row.name));
     let each: Vec<String> = each.collect();
-    context.detail(format!("remaining colour error, before → after: {}", each.join(", ")));
+    detail(format!("remaining colour error, before → after: {}", each.join(", ")));
     let place = |name: &str| if name == "local" { "in small details" } else { "overall" };
-    let left = errors.iter().map(|(row, (before, after))| {
-        format!("{:.0} % {}", 100.0 * after / before.max(f64::MIN_POSITIVE), place(row.name))
+    let stored = errors.iter().map(|(row, (before, after))| {
+        let share = 1.0 - after / before.max(f64::MIN_POSITIVE);
+        format!("{:.0} % of the correction {}", 100.0 * share.max(0.0), place(row.name))
     });
-    let left = left.collect::<Vec<_>>().join(", ");
-    let mut lines =
-        vec![format!("the scene has the corrected colours; of the colour error this is left: {left}")];
+    let stored = stored.collect::<Vec<_>>().join(", ");
+    let mut lines = vec![format!("the scene has the corrected colours now: {stored}")];
     for (row, (before, after)) in errors {
         let place = place(row.name);
         // The growth must be visible in the printed decimals: a thousandth of a scale is no growth.
@@ -189,7 +190,7 @@ fn run(context: &StageContext, params: &EnhanceParams) -> Result<(), StageError>
             "learnt in clear radiance: `enhanced` shows the enhanced objects behind the water of stage 1",
         );
     }
-    for line in reached(context, &outcome.report, &params) {
+    for line in reached(&outcome.report, &params, &mut |line| context.detail(line)) {
         context.say(line);
     }
     let out = context.output();
@@ -239,23 +240,35 @@ mod tests {
     #[test]
     fn what_was_not_measured_has_no_figure_and_what_grew_is_a_warning() {
         let asked = |objective| EnhanceParams { objective, ..EnhanceParams::default() };
-        let labels = reached(&report(None), &asked(Objective::PseudoLabels));
+        let labels = reached(&report(None), &asked(Objective::PseudoLabels), &mut |_| {});
         assert!(labels.len() == 1 && labels[0].contains("not measured") && !labels[0].contains("0.000"));
         let grew = report(Some([0.6, 0.185, 0.08, 0.253]));
-        let lines = reached(&grew, &asked(Objective::Full));
-        assert!(lines[0].contains("global 0.600 → 0.080, local 0.185 → 0.253"), "{lines:?}");
+        let mut details = Vec::new();
+        let lines = reached(&grew, &asked(Objective::Full), &mut |line| details.push(line));
         assert!(
-            lines[1].starts_with("warning: the local error grew") && lines[1].contains("0.253"),
+            lines[0].ends_with("now: 87 % of the correction overall, 0 % of the correction in small details")
+        );
+        assert_eq!(
+            details,
+            ["remaining colour error, before → after: global 0.600 → 0.080, local 0.185 → 0.253"]
+        );
+        assert!(
+            lines[1].starts_with("warning: the colour error in small details grew")
+                && lines[1].contains("0.253"),
             "{lines:?}"
         );
         assert_eq!(
-            reached(&grew, &asked(Objective::GlobalOnly)).len(),
+            reached(&grew, &asked(Objective::GlobalOnly), &mut |_| {}).len(),
             1,
             "that objective does not ask for it"
         );
-        assert_eq!(reached(&report(Some([0.6, 0.3, 0.08, 0.2])), &asked(Objective::Full)).len(), 1);
+        assert_eq!(
+            reached(&report(Some([0.6, 0.3, 0.08, 0.2])), &asked(Objective::Full), &mut |_| {}).len(),
+            1
+        );
         // A uniform grey capture has nothing to enhance, and its errors are those of arithmetic.
-        let nothing = reached(&report(Some([0.0, 0.0, 0.0012, 0.0003])), &asked(Objective::Full));
+        let nothing =
+            reached(&report(Some([0.0, 0.0, 0.0012, 0.0003])), &asked(Objective::Full), &mut |_| {});
         assert_eq!(nothing.len(), 1, "{nothing:?}");
     }
 }
