@@ -1,5 +1,5 @@
-//! Every fault that `synth capture --fault list` names is found as the list says, and sound captures have no
-//! serious finding and one minor one at most.
+//! Every fault that `synth capture --fault list` names is found as the list says and as the guide quotes it, and
+//! sound captures have no serious finding and one minor one at most.
 //!
 //! The middle strengths and three sound captures are tried; all of them, and real captures, with
 //!
@@ -30,10 +30,37 @@ fn weight(findings: &[&Finding]) -> u8 {
     findings.iter().map(of).max().unwrap_or(0)
 }
 
-/// A finding without its figures, which differ a little from capture to capture.
+/// A text without its figures, which differ a little from capture to capture.
+fn bare(text: &str) -> String {
+    text.chars().filter(|c| !c.is_ascii_digit() && *c != '.').collect()
+}
+
+/// A finding without its figures.
 fn kind(finding: &Finding) -> String {
-    let words: String = finding.text.chars().filter(|c| !c.is_ascii_digit() && *c != '.').collect();
-    format!("{:?} {words}", finding.severity)
+    format!("{:?} {}", finding.severity, bare(&finding.text))
+}
+
+/// The faults in the gallery of the guide, each with the finding that is quoted there.
+fn gallery() -> Vec<(String, String)> {
+    let page = include_str!("../../../../docs/guide/check.md");
+    let entries = page.split("\n**`").skip(1);
+    let quoted: Vec<_> = entries
+        .filter_map(|entry| {
+            let (fault, rest) = entry.split_once("`.** \"")?;
+            let (quote, _) = rest.split_once('"')?;
+            Some((fault.to_string(), quote.replace('\n', " ")))
+        })
+        .collect();
+    assert!(quoted.len() > 5, "{quoted:?}");
+    quoted
+}
+
+/// True if a finding of a line is the one that is quoted, with its severity; `…` stands for left out words.
+fn quotes(line: &str, quote: &str) -> bool {
+    let (severity, text) = quote.split_once(": ").expect("a severity");
+    let findings = line.split(": ").skip(1).flat_map(|part| part.split(" | "));
+    let severe = findings.map(str::to_lowercase).any(|finding| finding.starts_with(severity));
+    severe && text.split('…').all(|part| bare(line).contains(&bare(part.trim())))
 }
 
 /// The finding that a sound capture does not have, in words, and the complaint if it is not the one that is
@@ -92,6 +119,14 @@ fn every_fault_is_found_as_the_list_says() {
     let [(weak, not_weak), (_, not_middle), (_, not_strong)] = [missed(0), missed(1), missed(2)];
     println!("not found: {} of {weak} weak, {not_middle:?}, {not_strong:?}", not_weak.len());
     assert!(not_middle.is_empty() && not_strong.is_empty(), "{not_middle:#?} {not_strong:#?}");
+    let misquoted: Vec<_> = gallery()
+        .into_iter()
+        .filter(|(fault, quote)| {
+            let of_fault = format!("{fault} 1, ");
+            !lines.iter().any(|(_, line, _)| line.starts_with(&of_fault) && quotes(line, quote))
+        })
+        .collect();
+    assert!(misquoted.is_empty(), "the gallery of docs/guide/check.md has other words: {misquoted:#?}");
     // Four of five weak faults are enough.
     assert!(5 * not_weak.len() <= weak, "{not_weak:#?}");
 }
