@@ -139,7 +139,7 @@ fn white(place: &Place) {
     expect(place, 0, &["export", "out", "--ply", "once.ply", "--what", "clear", "--white", grey]);
     assert_eq!((bytes("file.ply"), bytes("once.ply")), (bytes("white.ply"), bytes("white.ply")));
 
-    assert!(expect(place, 2, &["white", "out", "nothing.jpg:1,2"]).contains("did you mean"));
+    assert!(expect(place, 2, &["white", "out", "nothing.jpg:1,2"]).contains("no photograph of this name"));
     assert!(expect(place, 2, &["white", "out", &format!("{view}:9999,2")]).contains("outside the picture"));
     assert!(expect(place, 2, &["white", "out/tiny/enhanced-scene", "reef"]).contains("--cameras CAPTURE"));
     assert!(expect(place, 2, &["white", "out", "patch"]).contains("812,430"));
