@@ -459,7 +459,7 @@ impl Rules {
         if !others.is_empty() {
             let text = format!(
                 "{} of {read} photographs do not show what can be seen from their places: they are turned, or have wrong \
-                 names, or the places of the camera are wrong.",
+                 names, or the places are wrong.",
                 others.len()
             );
             let remedy = "see if these were turned or renamed, and put the originals back, or find the places of the camera again \
