@@ -25,6 +25,9 @@ pub enum WaterSight<'a> {
     Unknown(&'a str),
 }
 
+/// The remedy for fish and divers.
+const HIDE: &str = "hide them with masks: black-and-white pictures in the folder masks/, black on fish and divers \
+    (docs/guide/pictures.md)";
 /// Forms of models that never have tracks, and one that has them in a file of their own, as an import reports
 /// them.
 const WITHOUT_TRACKS: [&str; 4] = ["Agisoft XML", "transforms.json", "RealityScan CSV", "RealityScan XMP"];
@@ -155,10 +158,12 @@ impl Rules {
         }
         if !import.missing.is_empty() {
             let count = import.missing.len();
-            let s = if count == 1 { "" } else { "s" };
-            let text =
-                format!("{count} photograph{s} that the model names {} not in the folder.", are(count));
-            let remedy = "put the missing files back, under the names that the model has";
+            let (s, them) = if count == 1 { ("", "it") } else { ("s", "them") };
+            let text = format!(
+                "{count} photograph{s} {} not in the folder, but the list of cameras names {them}.",
+                are(count)
+            );
+            let remedy = "put the missing files back, under the names that the list has";
             self.add(
                 serious_if(import.missing.len() > self.views),
                 "missing",
@@ -351,7 +356,7 @@ impl Rules {
                 sizes.len(),
                 sizes.join(" and ")
             );
-            let remedy = "photograph the way between the groups, or run each as a capture of its own";
+            let remedy = "photograph the way between the groups, or put each group into a folder of its own and run both";
             self.add(Severity::Serious, "parts", text, remedy, Vec::new());
         }
         if figures.track_length < 3.0 {
@@ -394,7 +399,7 @@ impl Rules {
             return;
         }
         if let Some(error) = agreement.error {
-            self.error(error, agreement);
+            self.error(error, agreement, &import.model);
         }
         if agreement.outside > 0 {
             let (count, lie) = (agreement.outside, if agreement.outside == 1 { "lies" } else { "lie" });
@@ -453,15 +458,15 @@ impl Rules {
         let others = list(&|v| unlike(v) && !blurred.contains(&v.name));
         if !others.is_empty() {
             let text = format!(
-                "{} of {read} photographs do not show what their cameras should see: they are turned, or other photographs \
-                 have their names, or the camera positions are wrong.",
+                "{} of {read} photographs do not show what can be seen from their places: they are turned, or have wrong \
+                 names, or the places are wrong.",
                 others.len()
             );
-            let remedy = "put back the photographs that the cameras were found from, unturned and under their own names, \
-                or find the cameras again with `use3d prepare`";
+            let remedy = "see if these were turned or renamed, and put the originals back, or find the places of the camera again \
+                with `use3d prepare`";
             self.add(Severity::Serious, "photographs", text, remedy, others);
         } else if read > 0 {
-            self.good("photographs", "The photographs show what their cameras should see.");
+            self.good("photographs", "The photographs show what can be seen from their places.");
         }
     }
 
@@ -492,9 +497,9 @@ impl Rules {
     }
 
     /// The error of the sightings, and the cameras that cause it.
-    fn error(&mut self, error: f64, agreement: &ModelAgreement) {
+    fn error(&mut self, error: f64, agreement: &ModelAgreement, model: &str) {
         let text = format!(
-            "The cameras fit the photographs to {error:.2} pixels; below {:.0} is good (the reprojection error)",
+            "the places of the camera: points lie {error:.2} pixels beside where the photographs show them; below {:.0} is good",
             ERROR.0
         );
         let changed = agreement.stated.filter(|stated| error > CHANGED.0 * stated + CHANGED.1);
@@ -504,19 +509,20 @@ impl Rules {
         }
         if let Some(stated) = changed {
             let text = format!(
-                "{text}. The file of the cameras says {stated:.2}, so something in it was changed afterwards: cameras, lens \
-                 or points."
+                "The photographs do not fit {text}. The file with these places ({}) says {stated:.2}, so something in it was \
+                 changed afterwards: cameras, lens or points.",
+                shown(model)
             );
             let remedy =
-                "take the file as its program wrote it, or let that program compute the cameras again";
+                "find the places again with `use3d prepare`, or take the file as its program wrote it";
             self.add(Severity::Serious, "error", text, remedy, Vec::new());
         } else if error > ERROR.0 {
-            let text = format!("{text}: the lens model fits badly.");
+            let text = format!("The photographs do not fit {text}. The lens model fits badly.");
             let remedy = "another lens model (`use3d prepare --lens`), zoom and stabilisation off, sharper \
                 photographs";
             self.add(serious_if(error > ERROR.1), "error", text, remedy, Vec::new());
         } else {
-            self.good("error", format!("{text}."));
+            self.good("error", format!("The photographs fit {text}."));
         }
         let usual = median(agreement.views.iter().filter_map(|v| v.error)).unwrap_or(0.0);
         let misplaced: Vec<String> = agreement
@@ -583,7 +589,7 @@ impl Rules {
             self.add(Severity::Minor, "unmasked", text, remedy, import.unmasked.clone());
         } else if import.masks + import.alpha_masks == 0 {
             let text = "There are no masks: fish and divers will leave ghosts, if there are any.";
-            self.note("masks", text, "paint them black in masks/ (docs/guide/pictures.md)");
+            self.note("masks", text, HIDE);
         }
     }
 }

@@ -86,9 +86,13 @@ impl CheckReport {
     /// to its pictures, such as its scale, are left out.
     pub fn gravest(&self, most: usize) -> Vec<String> {
         let heavy = self.faults().filter(|f| !LIGHT.contains(&f.subject));
-        let line = |f: &Finding| match f.remedy.is_empty() {
-            true => format!("{}: {}", f.severity.word(), f.text),
-            false => format!("{}: {} Do this: {}.", f.severity.word(), f.text, f.remedy),
+        let line = |f: &Finding| {
+            let named = |what: &str, text: &str| match text {
+                "" => String::new(),
+                text => format!(" {what}: {text}."),
+            };
+            let (views, remedy) = (named("Photographs", &f.names()), named("Do this", &f.remedy));
+            format!("{}: {}{views}{remedy}", f.severity.word(), f.text)
         };
         heavy.take(most).map(line).collect()
     }

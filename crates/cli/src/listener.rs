@@ -187,7 +187,9 @@ impl Listener for Terminal {
             Event::WholeRun { percent, seconds, seconds_left } => {
                 self.whole_run(*percent, *seconds, *seconds_left);
             }
-            Event::Waiting { label, holder, .. } => self.line(&format!("{label}: waiting for {holder}")),
+            Event::Waiting { label, holder, .. } => self.line(&format!(
+                "{label}: another run of this program is at this step ({holder}); this one waits, and then takes its result"
+            )),
             Event::Done { label, cached, seconds, .. } => {
                 self.end(label);
                 if !cached {

@@ -144,7 +144,10 @@ fn a_calibrator_of_our_own_serves_a_pipeline_and_a_scene_of_it() {
     expect(0, at, &["-q", "synth", "pairs", "--out", "pairs", "--views", "6", "--size", "64x48"]);
     let fit = ["calibrate", "--input", "pairs/input", "--target", "pairs/reference", "--proposer", "fusion"];
     let (_, err) = expect(0, at, &[&fit[..], &["--set", "steps=5", "--out", "own.safetensors"]].concat());
-    assert!(err.contains("6 pairs are few (800 are recommended)"), "{err}");
+    assert!(
+        err.contains("6 pairs of pictures (before and after a correction) are few (800 are recommended)"),
+        "{err}"
+    );
 
     let pipeline = |calibrator: &str, scene: &str| {
         let text = format!(

@@ -579,7 +579,7 @@ fn what_slurm_interrupts_loses_no_step_and_what_is_killed_goes_on_soon() {
         let name = format!("workers-{second}_0.log");
         let logs = training.logs();
         let log = logs.iter().find(|(path, _)| path.ends_with(&name));
-        log.is_some_and(|(_, text)| text.contains("waiting for process")).then_some(())
+        log.is_some_and(|(_, text)| text.contains("is at this step (process")).then_some(())
     };
     training.wait_for("second task", 60, waits);
     let (pids, own) = (workers("cache"), |pid: u32| {

@@ -43,7 +43,7 @@ fn a_scene_goes_to_browsers_and_viewers_and_follows_a_path() {
     // Every file with room for text says what it cannot contain.
     let plain = place.at("plain.ply");
     let said = expect(0, &["export", &scene, "--ply", &plain, "--what", "reconstruction"]);
-    assert!(said.contains("baked for the distances of 7 cameras"), "{said}");
+    assert!(said.contains("from the places of 7 photographs"), "{said}");
     for path in [&plain, &compressed, &glb] {
         let bytes = std::fs::read(path).unwrap();
         let words = use3d_web::foreign::NO_WATER.as_bytes();

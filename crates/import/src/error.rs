@@ -32,7 +32,7 @@ pub enum ImportError {
     },
     /// No model in any of the usual places.
     #[error(
-        "{}: no camera positions found: {hint} (no model of COLMAP or another program found in {looked})",
+        "{}: no camera positions found: {hint} (looked in {looked})",
         path.display()
     )]
     NoModel {

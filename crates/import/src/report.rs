@@ -183,9 +183,9 @@ impl ImportReport {
         let mut lines = vec![(
             !DETAIL,
             format!(
-                "{}: {}, and {} points of the scene are known from them",
+                "{}: it is known for {} where the camera was, and {} points of the scene are known from them",
                 shown(&self.name),
-                counted(self.views, "photograph has a camera", "photographs have a camera"),
+                counted(self.views, "photograph", "photographs"),
                 self.points
             ),
         )];
@@ -215,8 +215,9 @@ impl ImportReport {
             add(!DETAIL, format!("and {} more photographs that cannot be used", self.unusable.len() - 6));
         }
         if !self.extra.is_empty() {
-            let count = counted(self.extra.len(), "photograph has", "photographs have");
-            add(!DETAIL, format!("{count} no camera, so left out: {}", some(&self.extra)));
+            let count = counted(self.extra.len(), "photograph is", "photographs are");
+            let why = "left out, because it is not known where the camera was";
+            add(!DETAIL, format!("{count} {why}: {}", some(&self.extra)));
         }
         for camera in self.cameras.iter().take(6) {
             add(DETAIL, camera.to_string());
@@ -327,13 +328,21 @@ mod tests {
                 .to_string()
         };
         let text = report(&["a.jpg"], &["b.jpg"]);
-        assert!(text.contains("1 photograph has no camera, so left out: a.jpg"), "{text}");
+        assert!(
+            text.contains("1 photograph is left out, because it is not known where the camera was: a.jpg"),
+            "{text}"
+        );
         assert!(
             text.contains("1 photograph of the model is not in the folder, so left out: b.jpg"),
             "{text}"
         );
         let text = report(&["a.jpg", "c.jpg"], &["b.jpg", "d.jpg"]);
-        assert!(text.contains("2 photographs have no camera, so left out: a.jpg, c.jpg"), "{text}");
+        assert!(
+            text.contains(
+                "2 photographs are left out, because it is not known where the camera was: a.jpg, c.jpg"
+            ),
+            "{text}"
+        );
         assert!(
             text.contains("2 photographs of the model are not in the folder, so left out: b.jpg, d.jpg"),
             "{text}"

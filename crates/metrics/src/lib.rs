@@ -1,8 +1,8 @@
 //! Image quality and consistency formulas: PSNR, SSIM, MS-SSIM, UCIQE, UIQM, CIEDE2000, warping.
 //!
-//! This crate holds formulas only. Measures that need a trained network (LPIPS, MUSIQ …) are in the crate
-//! of the networks and are passed to [`warped_distance`] as a closure. All images are display-referred RGB
-//! in `[0, 1]`.
+//! This crate holds formulas, and the words for a PSNR. Measures that need a trained network (LPIPS,
+//! MUSIQ …) are in the crate of the networks and are passed to [`warped_distance`] as a closure. All images
+//! are display-referred RGB in `[0, 1]`.
 //!
 //! * With a reference: [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`],
 //!   [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`].
@@ -41,7 +41,9 @@ pub use error::MetricError;
 pub use halves::fitted_on_other_half;
 pub use lab::{lab_of_srgb, mean_cie1976};
 pub use mask::{blacked_out, counted, mask_of, only_counted, share};
-pub use psnr::{ExposureFit, decibels, exposure_gain, psnr, psnr_exposure_fitted};
+pub use psnr::{
+    ExposureFit, LIKENESS, decibels, exposure_gain, likeness_in_words, psnr, psnr_exposure_fitted,
+};
 pub use score::{Finite, NonFiniteScore, Score};
 pub use ssim::{ssim, ssim_map};
 pub use uciqe::{UCIQE_VARIANT, Uciqe, uciqe, uciqe_of_8bit};

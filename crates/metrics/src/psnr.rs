@@ -25,6 +25,23 @@ pub enum ExposureFit {
     PerChannel,
 }
 
+/// PSNR from which a difference is hard to see, and below which pictures are not recognised, dB.
+pub const LIKENESS: [f64; 2] = [30.0, 22.0];
+
+/// The mean PSNR of pictures of held-out views in the words of a diver; `on` says which pixels were compared.
+pub fn likeness_in_words(psnr: f64, on: &str) -> String {
+    let word = match psnr {
+        good if good >= LIKENESS[0] => "like the photographs",
+        middling if middling >= LIKENESS[1] => "recognisable, details are missing",
+        _ => "not like the photographs",
+    };
+    format!(
+        "likeness to the photographs that were kept back: {psnr:.1} dB{on} (PSNR; from {} on, a difference is hard to \
+         see): {word}",
+        LIKENESS[0]
+    )
+}
+
 /// PSNR in dB over the pixels of the mask (all pixels without a mask).
 ///
 /// # Errors

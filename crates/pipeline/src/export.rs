@@ -282,11 +282,12 @@ fn baked(
         };
         let unseen = match held_out.len() {
             0 => String::new(),
-            _ => format!(", and by {:.1} at those that were kept back", apart(&held_out)?),
+            _ => format!(", and by {:.1} at the places of those that were kept back", apart(&held_out)?),
         };
         tell(format!(
-            "the look is baked for the distances of {} cameras: there the file differs from the scene by ΔE00 {:.1}{unseen}; 1 \
-             can just be seen. The file cannot show less water when you come closer; the page can",
+            "the colours of the file are fixed, as they are seen from the places of {} photographs: there it differs from the \
+             scene by {:.1} (ΔE00){unseen}; 1 can just be seen. When you come closer, the file cannot take more water \
+             away; view.html can",
             through.len(),
             apart(&through)?
         ));
@@ -324,7 +325,7 @@ fn cameras_of(
         None if own.is_file() => own,
         None => {
             return Err(WorkError::Input(format!(
-                "a look with water is baked for the distances of cameras, and {} has no list of its \
+                "a look with water needs the places of the photographs, and {} has no list of its \
                  cameras; give --cameras CAPTURE, or choose a look without water (--what clear)",
                 path_text(folder)
             )));
@@ -347,8 +348,8 @@ fn world_of(scene: &Path) -> Result<World, WorkError> {
     let world = Scene::world(scene).map_err(WorkError::input)?;
     world.ok_or_else(|| {
         WorkError::Input(format!(
-            "--frame metric: {} does not know its metres; measure a length or give positions (docs/guide/metres.md), and \
-             run again",
+            "--frame metric: {} does not know how long a metre is; measure one length, or give the positions of photographs \
+             (docs/guide/metres.md), and run again",
             path_text(scene)
         ))
     })

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 use use3d_judge::scores::{Method, MethodScores, SceneScores, Scores};
+use use3d_metrics::likeness_in_words;
 use use3d_stages::{SCORES, read_json, report::best_method};
 use use3d_workflow::Summary;
 use use3d_workflow::place::PlaceError;
@@ -93,9 +94,7 @@ pub fn lines(delivered: &[Delivered]) -> Vec<String> {
         let mean = |method, metric| scores.mean(method, metric).and_then(|s| s.value());
         if let Some(psnr) = mean(Method::Reconstruction, "psnr") {
             let on = scores.on_pixels();
-            lines.push(format!(
-                "{of}: likeness to the photographs that were kept back: {psnr:.2} dB{on}; from 30 dB on, a difference is hard to see"
-            ));
+            lines.push(format!("{of}: {}", likeness_in_words(psnr, &on)));
             lines.extend(scores.hidden_too_much().map(|hidden| format!("{of}: {hidden}")));
         }
         // The look that leads the report is printed too.

@@ -264,22 +264,24 @@ pub fn lines(white: &White, scene: &Scene) -> Vec<String> {
     let mut lines = vec![format!("white balance by {}: {}", white.method.name(), looks.join("; "))];
     let distances: Vec<f64> = white.clicks.iter().filter_map(|click| click.distance).collect();
     if !distances.is_empty() {
+        tracing::info!(
+            "a click is the median of {PATCH} by {PATCH} pixels, of a picture at most {LONGEST} pixels wide"
+        );
         let distances: Vec<String> = distances.iter().map(|d| format!("{d:.2}")).collect();
         lines.push(format!(
-            "measured {} units away, as the median of {PATCH} by {PATCH} pixels of a picture at most {LONGEST} pixels wide; \
-             correct there, nearer or farther surfaces may keep a cast",
+            "measured {} units away: the colour is right there, and nearer or farther things may keep a tint",
             distances.join(" and ")
         ));
     }
     let belief = match white.method {
         Method::Patch => return lines,
-        Method::Grey => "took all surfaces together for grey",
+        Method::Grey => "took the whole scene together for grey",
         Method::Reef => "took the surfaces for those of a usual reef",
     };
     let name = white.method.name();
     lines.push(format!(
         "{name} {belief}: over coloured sand or a wall of one colour it makes the picture worse; then click on something \
-         grey instead (VIEW:X,Y), or take the balance back with `off`"
+         grey instead (`use3d white RESULTS PHOTOGRAPH:X,Y`), or take the balance back with `off`"
     ));
     lines
 }

@@ -249,7 +249,7 @@ pub(crate) fn judge(models: &[Model], names: &[String], context: &ModelContext<'
     }
     if share < SHARES.0 {
         words.push(format!(
-            "To give more images a place, try one after another: {}.",
+            "To give more images a place, try one after another (options stand at the end of the command): {}.",
             remedies(context).join("; ")
         ));
     }
@@ -288,8 +288,9 @@ fn give_lens(model: &Model) -> String {
     // A film of 35 mm is 36 mm wide, and a flat port enlarges as water refracts.
     let in_air = width.max(height) / 36.0;
     format!(
-        "If you know the lens, add it: --lens SIMPLE_PINHOLE --calibration F,{},{}. F is its focal length for 35 mm \
-         film, in millimetres, times {in_air:.1}, and behind a flat port times {:.1}. If you do not know it, go on.",
+        "If you do not know the lens, go on. If you know it, add it to the command, with a number in place of F: --lens \
+         SIMPLE_PINHOLE --calibration F,{},{}. The number is the focal length for 35 mm film, in millimetres, times \
+         {in_air:.1}, or behind a flat port times {:.1}.",
         width / 2.0,
         height / 2.0,
         1.33 * in_air
@@ -336,7 +337,8 @@ pub(crate) fn remedies(context: &ModelContext<'_>) -> Vec<String> {
         remedies.push("compare every image with every other one (--matching exhaustive)".into());
     }
     if features < 8000 {
-        remedies.push(format!("look for more features (--features {})", (features * 2).min(8000)));
+        remedies
+            .push(format!("look for more details in each image (--features {})", (features * 2).min(8000)));
     }
     if films {
         remedies.push(format!("use more frames of the film (--frames {})", params.frames * 2));

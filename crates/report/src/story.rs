@@ -3,10 +3,10 @@
 
 use use3d_capture::flat_stem;
 use use3d_judge::scores::{Method, SceneScores};
-
+use use3d_metrics::LIKENESS;
 use use3d_numerics::math;
 
-use crate::verdict::{PSNR, SceneFacts, Sentence, Tone, mean, steadiness};
+use crate::verdict::{SceneFacts, Sentence, Tone, mean, steadiness};
 
 /// A training of this many times the usual steps has little left to gain.
 const LONGER: u64 = 3;
@@ -50,10 +50,10 @@ fn headline(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Sentence 
     let hidden = scores.hidden_too_much().is_some();
     let (tone, scene) = match mean(scores, Method::Reconstruction, "psnr") {
         Some(_) if hidden => (Tone::Bad, "Masks hide most of the pictures, so the scene is hardly tested"),
-        Some(psnr) if psnr >= PSNR[0] => {
+        Some(psnr) if psnr >= LIKENESS[0] => {
             (Tone::Good, "Pictures of the scene look like real photographs from the same places")
         }
-        Some(psnr) if psnr >= PSNR[1] => {
+        Some(psnr) if psnr >= LIKENESS[1] => {
             (Tone::Plain, "Pictures of the scene can be recognised, but details are missing")
         }
         Some(_) => {
@@ -65,10 +65,11 @@ fn headline(scores: &SceneScores, best: Method, facts: &SceneFacts) -> Sentence 
         _ if tone == Tone::Bad => "",
         _ if facts.unchanged => ", and it keeps their colours, because it has no water",
         Tone::Good => {
-            ", and its colours are steadier than those of a program that enhances each picture alone"
+            ", and its colours change less from picture to picture than those of a program that corrects each picture \
+             alone"
         }
         Tone::Bad => {
-            ". But its colours are less steady than those of a program that enhances each picture alone"
+            ". Its colours change more from picture to picture than those of a program that corrects each picture alone"
         }
         Tone::Plain => "",
     };
@@ -92,7 +93,7 @@ fn likeness(scores: &SceneScores) -> Option<String> {
     Some(format!(
         "The score is {psnr:.1} dB (PSNR) {kept_back}. More is better; from {:.0} dB on, a difference is hard to \
          see.{weakest}",
-        PSNR[0]
+        LIKENESS[0]
     ))
 }
 
@@ -101,8 +102,8 @@ fn steadiness_in_words(scores: &SceneScores, best: Method) -> Option<String> {
     let ours = of(best)?;
     let others = [
         (Method::Captured, "in the photographs themselves"),
-        (Method::Proposal, "if a program enhances each photograph alone"),
-        (Method::ProposalOfRender, "if it enhances each picture of the scene alone"),
+        (Method::Proposal, "with a filter on each photograph"),
+        (Method::ProposalOfRender, "with the same filter on each picture of the scene"),
     ];
     let others = others.into_iter().filter_map(|(method, name)| Some(format!("{:.1} {name}", of(method)?)));
     let others: Vec<String> = others.collect();
@@ -151,12 +152,12 @@ fn next(scores: &SceneScores, facts: &SceneFacts) -> Vec<NextStep> {
     let mut again: Vec<(&str, u64)> = short.collect();
     if let [Some((done, usual)), _] = facts.steps
         && again.is_empty()
-        && psnr.is_some_and(|psnr| (PSNR[1]..PSNR[0]).contains(&psnr))
+        && psnr.is_some_and(|psnr| (LIKENESS[1]..LIKENESS[0]).contains(&psnr))
         && done < LONGER * usual
     {
         again.push((ITERATIONS, LONGER * usual));
     }
-    let check = psnr.is_some_and(|psnr| psnr < PSNR[1]).then_some(NextStep::Check);
+    let check = psnr.is_some_and(|psnr| psnr < LIKENESS[1]).then_some(NextStep::Check);
     check.into_iter().chain((!again.is_empty()).then_some(NextStep::Again(again))).collect()
 }
 
@@ -181,13 +182,12 @@ mod tests {
         };
         let good = of(33.0, 2.0);
         assert_eq!(good.tone, Tone::Good);
-        let said =
-            "Pictures of the scene look like real photographs from the same places, and its colours are";
-        assert!(good.text.starts_with(said) && good.text.contains("steadier"), "{good:?}");
-        assert!(of(33.0, 4.0).text.contains("But its colours are less steady"));
+        let said = "Pictures of the scene look like real photographs from the same places, and its colours";
+        assert!(good.text.starts_with(said) && good.text.contains("change less from"), "{good:?}");
+        assert!(of(33.0, 4.0).text.contains(". Its colours change more from"));
         assert!(of(25.0, 2.0).text.starts_with("Pictures of the scene can be recognised"));
         let bad = of(15.0, 2.0);
-        assert!(bad.tone == Tone::Bad && !bad.text.contains("steadier"), "{bad:?}");
+        assert!(bad.tone == Tone::Bad && !bad.text.contains("colours"), "{bad:?}");
         let untested = told(&scene(&[(Method::Reconstruction, &[])]), &SceneFacts::default());
         assert!(untested.headline.expect("a sentence").text.contains("no photograph was kept back"));
     }
@@ -208,7 +208,10 @@ mod tests {
             like.contains("33.0 dB (PSNR) on average over the 2 photographs")
                 && like.contains("view is b, with 30.0")
         );
-        assert!(steady.contains("by 1.2 (ΔE)") && steady.contains("3.9 if a program enhances"), "{steady}");
+        assert!(
+            steady.contains("by 1.2 (ΔE)") && steady.contains("3.9 with a filter on each photograph"),
+            "{steady}"
+        );
         assert!(water.contains("Along one metre, 33 % of the red light, 13 % of the green"), "{water}");
         let facts = SceneFacts { attenuation: Some(([0.4, 0.1, 0.2], false)), ..SceneFacts::default() };
         let water = &told(&scores, &facts).facts[2].1;

@@ -5,7 +5,7 @@
 //! is unfavourable to the enhanced scene, the sentence says so.
 
 use use3d_capture::flat_stem;
-use use3d_metrics::Score;
+use use3d_metrics::{LIKENESS, Score};
 
 use serde::{Deserialize, Serialize};
 use use3d_judge::names::distinct;
@@ -72,8 +72,6 @@ pub struct SceneFacts {
 
 /// The weakest view is named if it is this many dB below the mean.
 const WEAK: f64 = 2.0;
-/// PSNR from which a reconstruction is good, and below which it is bad, dB.
-pub(crate) const PSNR: [f64; 2] = [30.0, 22.0];
 
 fn plain(text: String) -> Sentence {
     Sentence { tone: Tone::Plain, text }
@@ -137,9 +135,9 @@ fn reconstruction(scores: &SceneScores) -> Option<Sentence> {
     let weak = worst.filter(|(value, _)| *value < psnr - WEAK && views.len() > 1);
     let weak = weak
         .map_or_else(String::new, |(value, name)| format!(" The weakest view is {name}, at {value:.1} dB."));
-    let (tone, meaning) = if psnr >= PSNR[0] {
+    let (tone, meaning) = if psnr >= LIKENESS[0] {
         (Tone::Good, "a difference that is hard to see")
-    } else if psnr >= PSNR[1] {
+    } else if psnr >= LIKENESS[1] {
         // Pictures with their water are reproduced well; that proves nothing about colours without water.
         (Tone::Plain, "recognisable, with details missing")
     } else {

@@ -54,8 +54,8 @@ fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorPara
     let trust = params.trust;
     if CalibratorParams::few(pairs) {
         context.say(format_args!(
-            "{pairs} pairs are few ({METHOD_PAIRS} are recommended): the colours may not fit your water; if they look \
-             wrong, run again without the pairs"
+            "{pairs} pairs of pictures (before and after a correction) are few ({METHOD_PAIRS} are recommended): the colours \
+             may not fit your water; if they look wrong, run again without the pairs"
         ));
     }
     if calibrator.corrects() == [false; 2] {
@@ -74,9 +74,9 @@ fn tell(context: &StageContext, calibrator: &Calibrator, params: &CalibratorPara
             global.before, global.after, local.before, local.after
         ));
         context.say(format_args!(
-            "the pairs improve the colours of the usual filter: {:.0} % of its colour error is left in pairs that were \
-             kept back for a test",
-            100.0 * global.after / global.before.max(f64::MIN_POSITIVE)
+            "the pairs make the colours of the usual filter better: its error falls by {:.0} % (tested with pairs that were \
+             kept back)",
+            100.0 * (global.before - global.after).max(0.0) / global.before.max(f64::MIN_POSITIVE)
         ));
         for (head, share) in ["global", "local"].into_iter().zip(held_out.kept) {
             if share < trust {

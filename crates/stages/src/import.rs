@@ -22,7 +22,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("import", Scope::Scene, run)
-            .about("read the photographs and the places where they were taken")
+            .about("read the photographs, and where the camera was for each")
             .promises(&["capture.json", "originals.json", "report.json", "images/"])
             .check(|p: &ImportParams| p.validate().map_err(out_of_range))
             .input("capture", "prepare")

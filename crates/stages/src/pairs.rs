@@ -64,7 +64,7 @@ pub(crate) mod definition {
     }
 
     fn missing_pairs(named: &Named) -> Vec<Lacking> {
-        let what = "the pairs of pictures that colours are learnt from";
+        let what = "the pairs of pictures (before and after a correction) that colours are learnt from";
         if !named.has("pairs.input") {
             let remedy =
                 format!("name two folders with --pairs INPUT TARGET or `calibrator.pairs` ({PAIRS})");

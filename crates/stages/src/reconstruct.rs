@@ -5,7 +5,7 @@ use use3d_capture::{Capture, View};
 use use3d_chart::column;
 use use3d_import::{ImportError, Originals, load_depth_prior, load_mask, load_pixels};
 use use3d_io_image::write_png;
-use use3d_metrics::Score;
+use use3d_metrics::{Score, likeness_in_words};
 use use3d_reconstruct::{
     DepthPrior, Evaluation, Exposure, Images, Known, LoadedView, Medium, MediumPrior, ReconstructError,
     ReconstructParams, growth, memory_need, most_gaussians, reconstruct,
@@ -62,7 +62,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("reconstruct", Scope::Scene, run)
-            .about("learn the 3D scene and its water from the photographs (stage 1)")
+            .about("learn the 3D scene and its water from the photographs")
             .promises(&["scene.json", "gaussians.ply", "training.jsonl"])
             .delivers("scene")
             .check(|p: &ReconstructParams| p.validate().map_err(out_of_range))
@@ -123,9 +123,13 @@ fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> 
 fn depth_in_short(prior: &str) -> &str {
     match prior.trim_start_matches("depth prior: ") {
         missing if missing.contains("although") => prior,
-        none if none.starts_with("none") => "no depth maps: going on without, they are optional",
-        own if own.starts_with("the capture's own") => "depth maps: those of the capture are used",
-        _ => "depth maps: those of the network Depth Anything V2 are used",
+        none if none.starts_with("none") => {
+            "no pictures of distances (depth maps): going on without, they are optional"
+        }
+        own if own.starts_with("the capture's own") => {
+            "pictures of distances (depth maps): those of the capture are used"
+        }
+        _ => "pictures of distances (depth maps): those of the network Depth Anything V2 are used",
     }
 }
 
@@ -247,10 +251,8 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
         let (psnr, ssim) = (text(&evaluation.psnr, " dB", 2), text(&evaluation.ssim, "", 4));
         let count = outcome.scene.gaussians.len();
         context.detail(format_args!("held-out views{against}: PSNR {psnr}, SSIM {ssim}, {count} Gaussians"));
-        if evaluation.psnr.value().is_some() {
-            context.say(format_args!(
-                "likeness to the photographs that were kept back: {psnr}; from 30 dB on, a difference is hard to see"
-            ));
+        if let Some(psnr) = evaluation.psnr.value() {
+            context.say(likeness_in_words(psnr, ""));
         }
         if let Some(fitted) = &evaluation.fitted {
             let (psnr, ssim) = (text(&fitted.psnr, " dB", 2), text(&fitted.ssim, "", 4));

@@ -570,8 +570,8 @@ fn sheets(dir: &Path, report: &TargetsReport) -> Result<Vec<Picture>, StageError
         Appearance::Clear => "the scene without its water",
     };
     let caption = format!(
-        "From left to right: {first}, the same corrected by the filter, then adjusted by pairs if there are any, and the \
-         correction on which all views agree."
+        "From left to right: {first}, the same corrected by the filter, then adjusted by your pairs of pictures, if you \
+         gave any, and the correction on which all views agree."
     );
     let Ok(entries) = std::fs::read_dir(dir) else { return Ok(Vec::new()) };
     let mut paths: Vec<_> = entries.filter_map(|e| Some(e.ok()?.path())).collect();

@@ -183,7 +183,7 @@ fn advice(error: &std::io::Error) -> &'static str {
     use std::io::ErrorKind as Kind;
     match error.kind() {
         Kind::StorageFull | Kind::QuotaExceeded => {
-            " (the disk is full: free some space, run `use3d gc`, or choose another folder with --cache; nothing finished is lost)"
+            " (the disk is full: free some space, choose another folder with --cache, or run `use3d gc`, which removes steps that can be computed again; nothing finished is lost)"
         }
         Kind::NotADirectory | Kind::AlreadyExists => {
             " (this is a file or lies below one: give a folder with --cache or --out)"

@@ -4,7 +4,7 @@ use use3d_capture::{Reach, Side, shown};
 use use3d_import::ImportReport;
 use use3d_numerics::order::median;
 
-use super::{Rules, UNMASKED, WaterSight, are, hardly, names, sentence, serious_if};
+use super::{HIDE, Rules, UNMASKED, WaterSight, are, hardly, names, sentence, serious_if};
 use crate::measure::{Figures, ViewFigures};
 use crate::report::{Finding, Severity};
 
@@ -68,10 +68,11 @@ impl Rules {
             return;
         }
         let text = format!(
-            "The masks hide {:.0} % of what photographs have in common: black and white are probably exchanged.",
+            "The masks (pictures that are black on fish and divers) hide {:.0} % of what photographs have in common: black \
+             and white are probably exchanged.",
             100.0 * all.iter().sum::<f64>() / all.len() as f64
         );
-        let remedy = "a mask is black on divers and fish, and white elsewhere: exchange black and white \
+        let remedy = "a mask is black on fish and divers, and white elsewhere: exchange black and white \
             (`magick mogrify -negate masks/*.png`)";
         self.add(Severity::Serious, "inverted", text, remedy, list);
     }
@@ -94,7 +95,7 @@ impl Rules {
             "Something moves through {count} of {compared} photographs (most in {}), probably fish or divers. In the scene it becomes haze.",
             most.join(", ")
         );
-        let remedy = "paint them black in masks (docs/guide/pictures.md)";
+        let remedy = HIDE;
         let list = names(views, |v| v.passed_points.is_some_and(|points| points > 0));
         self.add(Severity::Minor, "moving", text, remedy, list);
     }
@@ -157,9 +158,10 @@ impl Rules {
             1 => String::new(),
             _ => format!(" of the camera with {}x{} pixels", worst.size[0], worst.size[1]),
         };
+        let shows = if wide.len() > 1 { "show" } else { "shows" };
         let text = format!(
-            "{place} of the pictures{camera} never show anything that another picture shows too, in any of {} \
-             photographs. The scene cannot be learnt there and will look like fog.",
+            "{place} of the picture area{camera} {shows} nothing that another photograph shows too ({} photographs were \
+             looked at). The scene cannot be learnt there and will look like fog.",
             worst.views
         );
         let mut remedy = String::from(

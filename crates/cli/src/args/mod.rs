@@ -271,7 +271,7 @@ pub(crate) enum Verb {
     #[command(
         after_help = "Examples:\n  use3d white use3d-out/my-reef --cameras my-reef/ f_0001.jpg:812,430\n  \
         use3d white enhanced-scene/ --cameras my-reef/ reef\n  use3d white enhanced-scene/ off\n\n\
-        A pixel balances the colours at its distance; what is nearer or further may keep a cast."
+        A pixel balances the colours at its distance; what is nearer or further may keep a tint."
     )]
     White(KeepWhiteArgs),
     /// Write a scene as a page for a browser, or as a PLY, GLB or SPZ for other viewers.

@@ -195,8 +195,8 @@ fn unprepared(target: &Path, capture: &Path, as_json: bool) -> Done {
         return output::json(&serde_json::json!({ "prepares": target, "capture": capture }));
     }
     println!(
-        "run      prepare {}: choose frames and find the cameras, into {}\n\
-         waits    everything else: it is planned when the cameras are known",
+        "run      prepare {}: choose pictures and find out where the camera was for each, into {}\n\
+         waits    everything else: it is planned when that is known",
         path_text(target),
         path_text(capture)
     );

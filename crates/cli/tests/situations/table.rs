@@ -1,5 +1,5 @@
-//! Every fault that `synth capture --fault list` names is found as the list says and as the guide quotes it, and
-//! sound captures have no serious finding and one minor one at most.
+//! Every fault that `synth capture --fault list` names is found as the list says and as the guide quotes it,
+//! and sound captures have no serious finding and one minor one at most.
 //!
 //! The middle strengths and three sound captures are tried; all of them, and real captures, with
 //!

@@ -121,14 +121,16 @@ impl<'s> TransitionSources<'s> {
     /// The choice in the words of a diver.
     fn in_short(&self, context: &StageContext) -> String {
         let filter = match self.proposer.name.as_str() {
-            "fusion" => "the built-in filter".to_string(),
+            "fusion" => "the program's own filter".to_string(),
             name => format!("the filter {name}"),
         };
         let water = match &self.pictures {
-            Pictures::Renders { shown: None, .. } => "; all of the water was removed before".to_string(),
+            Pictures::Renders { shown: None, .. } => {
+                ", after all of the water's effect was taken away".to_string()
+            }
             Pictures::Renders { shown: Some(KeptWater(left)), .. } => {
                 let left: f64 = left.iter().map(|share| f64::from(*share) / 3.0).sum();
-                format!("; {:.0} % of the water was removed before", 100.0 * (1.0 - left))
+                format!(", after {:.0} % of the water's effect was taken away", 100.0 * (1.0 - left))
             }
             Pictures::Photographs(_) | Pictures::InAir => String::new(),
         };

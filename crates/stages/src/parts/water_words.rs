@@ -32,9 +32,15 @@ pub(crate) fn attenuation(scene: &Path) -> Option<([f64; 3], bool)> {
     known.filter(|_| water["judgement"] == "found")
 }
 
-/// A sentence on the metres of a unit; empty if they are not known.
+/// A sentence on the metres of a unit; empty if they are not known and nothing is told in units.
 fn scale_sentence(scene: &Path, estimate: Option<&Value>) -> String {
-    let Ok(Some(world)) = Scene::world(scene) else { return String::new() };
+    let world = match Scene::world(scene) {
+        Ok(Some(world)) => world,
+        Ok(None) if estimate.is_some() => {
+            return "The scene has no metres; give one known length to get them.".into();
+        }
+        _ => return String::new(),
+    };
     let attenuation = estimate.and_then(|water| water["metric"]["attenuation"].as_array());
     let per_metre = attenuation.map_or_else(String::new, |values| {
         let values: Vec<String> = values.iter().map(|v| number(&v["value"], 3)).collect();
@@ -77,7 +83,7 @@ fn channel_in_words(channel: &Value) -> (String, &str) {
     });
     let told = match channel["verdict"].as_str() {
         Some("found") => "measured",
-        Some("veil-not-separable") => "the loss was measured, the haze of this colour is a guess",
+        Some("veil-not-separable") => "the loss was measured; how much haze has this colour is a guess",
         _ => channel["told"].as_str().unwrap_or_default(),
     };
     (format!("{name}{lost}"), told)
