@@ -271,7 +271,7 @@ fn the_whole_chain_runs_once_and_a_change_reruns_only_what_it_touches() {
     let mut aloud = vec!["run", &capture, "--cache", &cache, "--out", &out];
     TINY.iter().for_each(|set| aloud.extend(["--set", set]));
     let (told, _) = expect(0, &aloud);
-    let line = told.lines().find(|line| line.contains("against the true scene")).unwrap_or_default();
+    let line = told.lines().find(|line| line.contains("likeness to the true scene")).unwrap_or_default();
     assert!(line.contains(", enhanced ") && !line.contains("enhanced-clear"), "{told}");
     for setting in ["render.water=1.5", "render.water=-0.1"] {
         let (_, err) = expect(2, &["run", &capture, "--cache", &cache, "--out", &out, "--set", setting]);
