@@ -574,7 +574,7 @@ impl Rules {
         if !hidden.is_empty() {
             let (count, all) = (hidden.len(), self.views);
             let text = format!("The masks hide nearly everything in {count} of {all} photographs.");
-            let remedy = "a mask is black on divers and fish, and white elsewhere: exchange black and white, or remove them";
+            let remedy = "a mask is black on fish and divers, and white elsewhere: exchange black and white, or remove them";
             self.add(serious_if(self.share(hidden.len()) > 0.1), "masks", text, remedy, hidden);
         }
         if let Some(text) = import.misnamed_masks() {

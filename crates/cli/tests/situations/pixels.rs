@@ -259,5 +259,5 @@ fn masks_mark_the_diver() {
         mask(&capture.join("masks").join(path.file_name().unwrap()), 255, true);
     }
     let found = finding(&capture, "inverted");
-    assert!(found.severity == Severity::Serious && found.text.contains("probably inverted"), "{found:?}");
+    assert!(found.severity == Severity::Serious && found.text.contains("probably exchanged"), "{found:?}");
 }
