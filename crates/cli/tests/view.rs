@@ -50,7 +50,8 @@ fn a_watched_training_gives_the_same_bytes_however_it_is_watched() {
     assert_eq!(viewer.json("/state", &json!({})).expect("an answer")["step"], 1, "it waits");
     assert_eq!(header["cameras"].as_array().map(Vec::len), Some(9));
     assert_eq!(header["cameras"][0]["heldOut"], true);
-    assert!(header["cameras"][0]["photo"].as_str().is_some_and(|photo| photo.starts_with("data:image/jpeg")));
+    let photograph = header["photographs"][0][0].as_str();
+    assert!(photograph.is_some_and(|photograph| photograph.starts_with("data:image/jpeg")));
     assert!((0..8).all(|i| viewer.draw(&header, i) == Some(200)));
     let (mut i, mut steps) = (8, Vec::new());
     while viewer.command("resume").is_some() {

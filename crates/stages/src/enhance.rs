@@ -47,7 +47,7 @@ pub(crate) mod definition {
 
     pub(crate) fn stage() -> Stage {
         Stage::new("enhance", Scope::Scene, run)
-            .about("store the corrected colours in the scene (stage 2)")
+            .about("store the corrected colours in the scene")
             .promises(&["scene.json", "gaussians.ply", REPORT])
             .delivers("enhanced-scene")
             .check(|p: &EnhanceParams| p.validate().map_err(out_of_range))
@@ -100,8 +100,8 @@ impl LabelSource for Proposals<'_> {
     }
 }
 
-/// Messages on the errors before and after stage 2, with the figures as the detail. An error that grew although it
-/// was weighted is a warning.
+/// Messages on the errors before and after stage 2, with the figures as the detail. An error that grew
+/// although it was weighted is a warning.
 fn reached(report: &Report, params: &EnhanceParams, detail: &mut dyn FnMut(String)) -> Vec<String> {
     let measuring = TERMS.iter().filter(|row| row.measures_errors());
     let errors: Option<Vec<_>> = measuring.map(|row| Some((row, report.errors(row.name)?))).collect();

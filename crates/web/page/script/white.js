@@ -126,7 +126,7 @@ function makeWhite(viewer, server, picture) {
     line.textContent = command ?? '';
     const distances = white.clicks.map(click => (click.depth / header.frame.scale).toPrecision(2)).join(', ');
     text.textContent = !white.gains ? 'Click on something that is grey or white; the colours of the scene follow at once.'
-      : white.clicks.length ? `Measured ${distances} units away. It is correct at that distance; nearer or farther surfaces may keep a cast.${command ? ' For every command:' : ' Save the file, and give it to a command by --white FILE.'}`
+      : white.clicks.length ? `Measured ${distances} units away. It is correct at that distance; nearer or farther surfaces may keep a tint.${command ? ' For every command:' : ' Save the file, and give it to a command by --white FILE.'}`
         : `Balanced by ${kept?.method === 'patch' ? 'places that were clicked on' : kept?.method === 'reef' ? 'the mean colour of reefs' : 'its surfaces, taken for grey'}.`;
   });
   pick.onclick = () => white.choose();
