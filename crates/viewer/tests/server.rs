@@ -312,18 +312,20 @@ fn a_place_is_measured_and_its_gains_reach_the_pictures() {
     let live = Arc::new(Live::new("", None));
     let server = Server::start(None, &live).unwrap();
     live.show(shown());
-    let camera = look(64, "clear")["camera"].clone();
+    // So near that the surface is larger than the patch.
+    let mut camera = look(256, "clear")["camera"].clone();
+    (camera["lens"], camera["height"]) = (json!([160, 160, 128, 96]), json!(192));
     let patch = |x: f64, y: f64, water: f64| {
         ask(&server, "/patch", &json!({ "page": "a", "camera": camera, "x": x, "y": y, "water": water }))
     };
-    let (status, _, body) = patch(32.0, 24.0, 1.0);
+    let (status, _, body) = patch(128.0, 96.0, 1.0);
     let found: Value = serde_json::from_slice(&body).unwrap();
     assert_eq!(status, 200);
     let colors = found["colors"].as_array().unwrap_or_else(|| panic!("{found}"));
     assert!(colors.len() == 3 && found["depth"].as_f64().is_some_and(|z| z > 1.0), "{found}");
-    let nothing: Value = serde_json::from_slice(&patch(1.0, 1.0, 1.0).2).unwrap();
+    let nothing: Value = serde_json::from_slice(&patch(4.0, 4.0, 1.0).2).unwrap();
     assert!(nothing["problem"].as_str().is_some_and(|text| text.contains("no surface")), "{nothing}");
-    assert_eq!(patch(32.0, 24.0, 1.5).0, 400);
+    assert_eq!(patch(128.0, 96.0, 1.5).0, 400);
     // The balanced picture differs; gains out of range are refused.
     let of = |red: f64| {
         let mut asked = look(64, "clear");

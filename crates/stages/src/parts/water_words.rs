@@ -83,7 +83,7 @@ fn channel_in_words(channel: &Value) -> (String, &str) {
     });
     let told = match channel["verdict"].as_str() {
         Some("found") => "measured",
-        Some("veil-not-separable") => "the loss was measured; how much haze has this colour is a guess",
+        Some("veil-not-separable") => "the loss was measured, and the haze is a guess",
         _ => channel["told"].as_str().unwrap_or_default(),
     };
     (format!("{name}{lost}"), told)
