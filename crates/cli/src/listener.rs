@@ -199,7 +199,7 @@ impl Listener for Terminal {
             }
             Event::Detail { .. } if !self.verbose => {}
             Event::Note { label, text } | Event::Detail { label, text } => {
-                self.line(&format!("{label}: {text}"))
+                self.line(&format!("{label}: {text}"));
             }
         }
     }
