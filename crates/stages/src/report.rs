@@ -396,7 +396,7 @@ fn views(
         let lead = lead.into_iter().flatten().collect();
         let scores = view_scores(&stem, scores, scored_as(best));
         let place = match k {
-            0 => "of all photographs that were kept back, the middle one by likeness",
+            0 => "a typical photograph of those that were kept back (the middle one by likeness)",
             1 => "the one where scene and photograph are most alike",
             _ => "",
         };
