@@ -137,17 +137,20 @@ fn the_methods_of_other_authors_stand_side_by_side() {
     for method in ["3dgs", "water-splatting", "3d-use"] {
         text += &format!("[[variant]]\nname = \"{method}\"\nmethod = \"{method}\"\n");
     }
-    text += "[[scene]]\nname = \"reef\"\ncapture = \"reef\"\n";
+    for name in ["reef.1", "reef.2"] {
+        text += &format!("[[scene]]\nname = \"{name}\"\ncapture = \"reef\"\n");
+    }
     fs::write(batch.at("many.toml"), text).expect("written");
     batch.done(&["--set", "variant.3d-use.enhance.iterations=3"], 0);
 
     let page = batch.read("report.html");
-    assert!(page.contains("href=\"tables/methods-reef.html\""), "a link to the pictures");
+    assert!(page.contains("href=\"tables/methods-reef.1.html\""), "a link to the pictures");
     let table = batch.read("tables/methods.md");
     assert!(table.contains("3DGS, in this program") && table.contains("| processor seconds↓"), "{table}");
     let told = "reproduces the kept-back photographs";
     assert!(table.contains(told) || table.contains("reproduce the kept-back photographs"), "{table}");
-    let pictures = batch.read("tables/methods-reef.html");
+    assert!(batch.read("tables/methods-reef.1.html").contains("<h1>reef.1: the methods side by side</h1>"));
+    let pictures = batch.read("tables/methods-reef.2.html");
     for label in ["3dgs: without water", "water-splatting: without water", "3d-use: enhanced"] {
         assert!(pictures.contains(label), "{label}");
     }

@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 use std::io;
 
-use use3d_capture::flat_stem;
 use use3d_judge::configuration::Configuration;
 use use3d_report::page::{Page, SceneSection};
 use use3d_report::tables::means::MeanScores;
@@ -12,11 +11,11 @@ use use3d_report::tables::methods::{NAME, ahead, steps};
 use use3d_report::tables::paper;
 use use3d_stages::report::{MethodSide, ResultFolders, side_by_side};
 
-use super::{DeliveredCell, PAGE, lineage};
+use super::{DeliveredCell, PAGE, folder_of, lineage};
 
 /// The name of the page of a scene.
 pub(super) fn file(scene: &str) -> String {
-    format!("{NAME}-{}.html", flat_stem(scene))
+    format!("{NAME}-{}.html", folder_of(scene, "").display())
 }
 
 /// The scenes that have a page.

@@ -339,17 +339,13 @@ impl Results {
             // Drawing speeds do not follow from a key, so the tables are written with every new page.
             put(None, &tables, |folder| {
                 at(folder, "write", tables::write(folder, &made.tables))?;
-                for scene in methods::scenes(&all) {
-                    let page = Page {
-                        made_with: made.made_with.clone(),
-                        ..at(folder, "write", methods::page(scene, &all, cells))?
-                    };
-                    let file = folder.join(methods::file(scene));
-                    at(
-                        &file,
-                        "write",
-                        fs::write(&file, at(&file, "write", page.html().map_err(io::Error::other))?),
-                    )?;
+                let blocks = made.index.iter().flat_map(|index| &index.scenes);
+                for block in blocks.filter(|block| !block.methods.is_empty()) {
+                    let page = at(folder, "write", methods::page(&block.name, &all, cells))?;
+                    let page = Page { made_with: made.made_with.clone(), ..page };
+                    let file = folder.join(methods::file(&block.name));
+                    let html = at(&file, "write", page.html().map_err(io::Error::other))?;
+                    at(&file, "write", fs::write(&file, html))?;
                 }
                 place::record(folder, None)
             })?;
