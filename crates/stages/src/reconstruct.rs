@@ -93,43 +93,41 @@ fn load(view: &View, pixels: &View) -> Result<LoadedView, ImportError> {
     Ok(LoadedView { pixels: load_pixels(pixels)?, mask, depth_prior: load_depth_prior(view)? })
 }
 
-/// A sentence on the depth prior in force, with the reason (R14).
-fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> String {
+/// The depth prior in force with the reason (R14), in a sentence for experts and in one for divers.
+fn prior_in_force(params: &ReconstructParams, capture: &Capture, made: bool) -> (String, String) {
     let total = capture.training_views().count();
     let with = capture.training_views().filter(|view| view.depth_prior.is_some()).count();
     let none = "depth prior: none, the depth term is off";
     let networks =
         "the weights of Depth Anything V2 are not in the models folder (`use3d models` names the files)";
+    let maps = "pictures of distances (depth maps)";
+    let without = format!("no {maps}: going on without, they are optional");
+    let by_network = format!("{maps}: those of the network Depth Anything V2 are used");
     match (params.depth_prior, made, with) {
-        (DepthPrior::Off, ..) => format!("{none} (depth_prior = \"off\")"),
-        _ if !params.uses_priors() => format!("{none} (depth_weight = 0)"),
+        (DepthPrior::Off, ..) => (format!("{none} (depth_prior = \"off\")"), without),
+        _ if !params.uses_priors() => (format!("{none} (depth_weight = 0)"), without),
         (DepthPrior::Auto, true, _) => {
-            "depth prior: Depth Anything V2, since the capture has no depth folder".into()
+            ("depth prior: Depth Anything V2, since the capture has no depth folder".into(), by_network)
         }
-        (_, true, _) => "depth prior: Depth Anything V2, as depth_prior requires".into(),
-        (DepthPrior::Auto, false, 0) => format!(
-            "{none}: the capture has no depth files for its training views (depth/ with the photographs' stems), and {networks}"
+        (_, true, _) => ("depth prior: Depth Anything V2, as depth_prior requires".into(), by_network),
+        (DepthPrior::Auto, false, 0) => (
+            format!(
+                "{none}: the capture has no depth files for its training views (depth/ with the photographs' stems), and {networks}"
+            ),
+            without,
         ),
-        (_, false, 0) => format!(
-            "{none}, although depth_prior requires files: the capture has no depth folder, or none of its \
-             files has the stem of a training view; choose `auto` to make them with Depth Anything V2, or \
-             `off` to train without"
+        (_, false, 0) => {
+            let missing = format!(
+                "{none}, although depth_prior requires files: the capture has no depth folder, or none of its \
+                 files has the stem of a training view; choose `auto` to make them with Depth Anything V2, or \
+                 `off` to train without"
+            );
+            (missing.clone(), missing)
+        }
+        (_, false, with) => (
+            format!("depth prior: the capture's own files, {with} of {total} training views"),
+            format!("{maps}: those of the capture are used"),
         ),
-        (_, false, with) => format!("depth prior: the capture's own files, {with} of {total} training views"),
-    }
-}
-
-/// The sentence on the depth prior in the words of a diver.
-fn depth_in_short(prior: &str) -> &str {
-    match prior.trim_start_matches("depth prior: ") {
-        missing if missing.contains("although") => prior,
-        none if none.starts_with("none") => {
-            "no pictures of distances (depth maps): going on without, they are optional"
-        }
-        own if own.starts_with("the capture's own") => {
-            "pictures of distances (depth maps): those of the capture are used"
-        }
-        _ => "pictures of distances (depth maps): those of the network Depth Anything V2 are used",
     }
 }
 
@@ -195,9 +193,9 @@ fn run(context: &StageContext, params: &ReconstructParams) -> Result<(), StageEr
             view.depth_prior = file.is_file().then_some(file);
         }
     }
-    let prior = prior_in_force(params, &capture, context.optional_input("depth").is_some());
+    let (prior, in_short) = prior_in_force(params, &capture, context.optional_input("depth").is_some());
     context.detail(&prior);
-    context.say(depth_in_short(&prior));
+    context.say(in_short);
     let mut params = ReconstructParams { seed: context.seed(), ..params.clone() };
     // Masks and depth priors always belong to the photographs.
     let mut learnt_from = capture.clone();
