@@ -196,15 +196,26 @@ pub(crate) fn unkept<'n>(
 mod tests {
     use super::*;
 
-    #[test]
-    fn a_manifest_that_lies_is_refused() {
+    fn manifest() -> Manifest {
         let ingredients: Ingredients = serde_json::from_value(serde_json::json!({
             "stage": "import", "version": 1, "code": {}, "third_party": {}, "parameters": {"size": 0.1},
             "seed": null, "numeric_class": "x", "inputs": []
         }))
         .expect("ingredients");
         let file = FileRecord { path: "a".to_string(), size: 1, digest: Digest::of(b"a") };
-        let manifest = Manifest::new(ingredients, vec![file], Circumstances::default());
+        Manifest::new(ingredients, vec![file], Circumstances::default())
+    }
+
+    #[test]
+    fn seconds_are_those_of_a_stage_without_checkpoints() {
+        let resumed = Manifest { seconds: 3.0, processor_seconds: 4.0, resumed: 0.5, ..manifest() };
+        assert_eq!((resumed.full_seconds(), resumed.full_processor_seconds()), (6.0, Some(8.0)));
+        assert_eq!(manifest().full_processor_seconds(), None, "an older program did not count them");
+    }
+
+    #[test]
+    fn a_manifest_that_lies_is_refused() {
+        let manifest = manifest();
         let bytes = serde_json::to_vec(&manifest).expect("json");
         assert_eq!(Manifest::parse(&bytes, manifest.key).expect("whole"), manifest);
         assert!(Manifest::parse(&bytes, Digest::of(b"other")).is_err());

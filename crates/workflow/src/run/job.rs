@@ -502,3 +502,24 @@ fn watched<T>(
     peak.fetch_max(memory::resident().unwrap_or(0), Ordering::Relaxed);
     (result, peak.into_inner())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pool_counts_the_seconds_of_its_processors_and_not_those_of_waiting() {
+        const WORK: Duration = Duration::from_millis(20);
+        let busy = |_: rayon::BroadcastContext<'_>| while ThreadTime::now().as_duration() < WORK {};
+        let (ran, seconds) = in_pool(2, || {
+            rayon::broadcast(busy);
+            Ok(())
+        });
+        assert!(ran.is_ok() && (0.04..0.4).contains(&seconds), "{seconds}");
+        let (_, waited) = in_pool(1, || {
+            std::thread::sleep(Duration::from_millis(100));
+            Ok(())
+        });
+        assert!(waited < 0.09, "{waited}");
+    }
+}
