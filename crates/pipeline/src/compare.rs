@@ -10,9 +10,8 @@ use use3d_render::Mode;
 use use3d_report::page::{Page, Picture, SceneSection, ViewSection};
 use use3d_report::tables::{Better, Cell, Column, Row, Table};
 use use3d_report::verdict::{Sentence, Tone};
-use use3d_stages::SCORES;
-use use3d_stages::read_json;
 use use3d_stages::report::{best_method, caption};
+use use3d_stages::{SCORES, read_json, stems};
 use use3d_workflow::canonical;
 use use3d_workflow::manifest::MANIFEST;
 
@@ -156,11 +155,9 @@ fn table(name: &str, sides: [&Folders; 2]) -> Option<Table> {
     (!columns.is_empty()).then(|| Table { name: "comparison".into(), caption, columns, rows })
 }
 
-/// The names of the held-out photographs in a folder of pictures, without extension.
-fn stems(renders: &Path) -> Vec<String> {
-    let pictures = entries(&renders.join("captured"));
-    let mut stems: Vec<String> =
-        pictures.filter_map(|path| Some(path.file_stem()?.to_string_lossy().into_owned())).collect();
+/// The names of the held-out photographs in a folder of pictures, in order; none without the folder.
+fn held_out(renders: &Path) -> Vec<String> {
+    let mut stems = stems(&renders.join("captured")).unwrap_or_default();
     stems.sort();
     stems
 }
@@ -229,7 +226,7 @@ fn in_short(differing: &[String]) -> String {
 /// The pictures of a scene in both runs, and their scores if they can be compared.
 fn section(name: &str, sides: [&Folders; 2]) -> Result<(SceneSection, Option<Table>), WorkError> {
     let renders = sides.map(|stages| stages["render"].clone());
-    let [a, b] = renders.each_ref().map(|folder| stems(folder));
+    let [a, b] = renders.each_ref().map(|folder| held_out(folder));
     let unlike = unlike([&renders[0], &renders[1]], [&a, &b])?;
     let common: Vec<&String> = a.iter().filter(|stem| b.contains(stem)).collect();
     let count = common.len().min(VIEWS);
@@ -347,7 +344,7 @@ mod tests {
             renders
         };
         let a = run("a", "f_1", 8, 0.2);
-        let against = |b: &Path| unlike([&a, b], [&stems(&a), &stems(b)]).unwrap();
+        let against = |b: &Path| unlike([&a, b], [&held_out(&a), &held_out(b)]).unwrap();
         assert_eq!(against(&run("same", "f_1", 8, 0.2)), None);
         let told =
             |b: &Path| sentence([&Folders::new(), &Folders::new()], against(b).as_deref()).unwrap().text;

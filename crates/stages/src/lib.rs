@@ -41,7 +41,7 @@ mod targets;
 pub use engines::{CardError, Drawn, close_devices};
 pub use parts::appearance::Appearance;
 pub use parts::files::{
-    BATCH, CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, write_json,
+    BATCH, CALIBRATED, CALIBRATOR, CAMERAS, CHOICES, SCORES, SPEED, TARGETS, read_json, stems, write_json,
 };
 pub use parts::proposer::{ProposerChoice, ProposerError, open as open_proposer};
 pub use parts::water;

@@ -16,7 +16,7 @@ use crate::report::{ResultFolders, best_look, read_scores, view_score};
 pub struct MethodSide<'a> {
     /// The name of the method.
     pub name: &'a str,
-    /// What its scene took, in words: steps, Gaussians, processor seconds.
+    /// The steps, Gaussians and processor seconds of its scene, in words.
     pub cost: String,
     /// True for the method of this program.
     pub own: bool,
@@ -74,9 +74,9 @@ fn chosen(scored: &[ByMethod<'_>], stems: &[String]) -> Vec<(String, &'static st
     let mut order: Vec<(&String, f64)> = leads.into_iter().collect();
     order.sort_by(|a, b| a.1.total_cmp(&b.1));
     let wanted = [
-        (order.get(order.len() / 2), "The middle one of the kept-back photographs, by who is ahead"),
-        (order.last().filter(|(_, by)| *by > 0.0), "Here another method is furthest ahead"),
-        (order.first().filter(|(_, by)| *by < 0.0), "Here the method of this program is furthest ahead"),
+        (order.get(order.len() / 2), "the middle one of the kept-back photographs, by who is ahead"),
+        (order.last().filter(|(_, by)| *by > 0.0), "here another method is furthest ahead"),
+        (order.first().filter(|(_, by)| *by < 0.0), "here the method of this program is furthest ahead"),
     ];
     let mut out: Vec<(String, &str)> = Vec::new();
     for (view, reason) in wanted {

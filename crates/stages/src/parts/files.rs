@@ -109,8 +109,11 @@ pub(crate) fn choice_sources(capture: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// The stems of the files of a folder.
-pub(crate) fn stems(folder: &Path) -> Result<Vec<String>, StageError> {
+/// The names of the files of a folder without extension, in no order.
+///
+/// # Errors
+/// The folder cannot be listed.
+pub fn stems(folder: &Path) -> Result<Vec<String>, StageError> {
     let entries = std::fs::read_dir(folder).map_err(|e| StageError::io(folder, e))?;
     let stem = |entry: std::io::Result<std::fs::DirEntry>| {
         Some(entry.ok()?.path().file_stem()?.to_string_lossy().into_owned())

@@ -128,7 +128,7 @@ struct ToJudge {
 }
 
 impl ToJudge {
-    /// Of `count` views, with at most these pairs of neighbours and of frames.
+    /// The numbers for `count` views, with at most these pairs of neighbours and of frames.
     fn new(count: f64, neighbours: f64, path: f64) -> Self {
         let (neighbours, held_out) = (neighbours.min(count - 1.0).max(0.0), (count / 8.0).ceil());
         Self { views: (2.0 * neighbours + held_out).min(count), held_out, neighbours, path }
