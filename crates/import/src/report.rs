@@ -228,7 +228,7 @@ impl ImportReport {
         if let Some(CameraReport { size: [w, h], .. }) =
             self.cameras.iter().find(|camera| camera.is_resized())
         {
-            add(!DETAIL, format!("the photographs are used at a smaller size, {w} × {h} pixels"));
+            add(!DETAIL, format!("the photographs are used at a size of {w} × {h} pixels"));
         }
         if self.masks + self.alpha_masks > 0 {
             let masks =

@@ -265,12 +265,8 @@ fn what_cannot_be_imported_is_explained() {
     let report = fixture.import(&base()).expect("the others are used").report;
     assert!(report.to_string().contains("f01.png") && report.views == 2, "{report}");
     assert!(import(&fixture.path("nowhere"), &base()).unwrap_err().to_string().contains("no such folder"));
-    assert!(
-        import(&fixture.path("images"), &base())
-            .unwrap_err()
-            .to_string()
-            .contains("no camera positions found")
-    );
+    let refused = import(&fixture.path("images"), &base()).unwrap_err().to_string();
+    assert!(refused.contains("no camera positions found"), "{refused}");
 }
 
 #[test]

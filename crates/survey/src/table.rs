@@ -1,7 +1,7 @@
 //! Tables of text whose first line names the columns: CSV as spreadsheets and other programs save it.
 //!
 //! Fields are separated by commas, semicolons or tabs; the first line decides. A field may stand in quotes.
-//! Where no comma separates fields and no number has a point, `1,5` is a number with a decimal comma.
+//! A number such as `1,5` has a decimal comma if no comma separates fields and no number has a point.
 //! Empty lines, rows without any text and, after the first line, lines that begin with `#` do not count.
 
 use csv::{ReaderBuilder, StringRecord, Trim};
