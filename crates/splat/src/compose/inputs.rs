@@ -8,7 +8,7 @@ use std::ops::Deref;
 use use3d_capture::MediumMaps;
 
 use super::outputs::Saved;
-use super::pixels::{each, get, ray_lengths};
+use super::pixels::{each, get, ray_lengths, set_row};
 use super::tile::{BackwardTile, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::Splat;
@@ -80,19 +80,20 @@ pub(crate) fn load_water(
     water: &mut TileWater,
 ) {
     let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
-    for r in 0..rows {
-        let y = row * TILE + r;
+    for r in 0..TILE {
+        // Padding repeats the last row.
+        let y = row * TILE + r.min(rows - 1);
         let ray = ray_lengths(prepared, y, column);
         let factor = each(|l| ray[l] * -std::f32::consts::LOG2_E);
-        let out = &mut water.rows[r];
         for c in 0..3 {
             let attenuation = get(medium.attenuation.row(c, y), column * TILE, n);
             let backscatter = get(medium.backscatter.row(c, y), column * TILE, n);
-            out.attenuation[c] = each(|l| attenuation[l] * factor[l]);
-            out.backscatter[c] = each(|l| backscatter[l] * factor[l]);
+            let cells = &mut water.cells;
+            set_row(cells, r, &each(|l| attenuation[l] * factor[l]), |cell| &mut cell.attenuation[c]);
+            set_row(cells, r, &each(|l| backscatter[l] * factor[l]), |cell| &mut cell.backscatter[c]);
         }
     }
-    water.centre(rows);
+    water.centre();
 }
 
 /// The parts of a view that a backward pass reads.
@@ -113,34 +114,39 @@ pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usiz
     let x = column * TILE;
     let pixels = prepared.width * prepared.height;
     *tile = BackwardTile::ZERO;
-    for (r, out) in tile.rows[..rows].iter_mut().enumerate() {
+    let cells = &mut tile.cells;
+    for r in 0..rows {
         let y = row * TILE + r;
         for c in 0..3 {
-            out.image[c] = get(d_rendered.image.row(c, y), x, n);
+            let image = get(d_rendered.image.row(c, y), x, n);
+            set_row(cells, r, &image, |cell| &mut cell.image[c]);
             if let Some(medium) = medium {
                 let color = get(medium.color.row(c, y), x, n);
-                out.veiled[c] = each(|l| -(out.image[c][l] * color[l]));
+                set_row(cells, r, &each(|l| -(image[l] * color[l])), |cell| &mut cell.veiled[c]);
             }
             if let Some(clear) = d_rendered.clear {
-                out.clear[c] = get(clear.row(c, y), x, n);
+                set_row(cells, r, &get(clear.row(c, y), x, n), |cell| &mut cell.clear[c]);
             }
         }
         let Some(saved) = saved else { continue };
         let start = y * prepared.width + x;
         // Padding keeps its stop of 0 and so takes no part.
-        out.stop[..n].copy_from_slice(&saved.stop[start..start + n]);
+        let mut stop = [0; TILE];
+        stop[..n].copy_from_slice(&saved.stop[start..start + n]);
+        set_row(cells, r, &stop, |cell| &mut cell.stop);
         let row = |plane: usize| &saved.values[plane * pixels + y * prepared.width..][..prepared.width];
-        out.transmittance = get(row(0), x, n);
-        if let Some(accumulation) = d_rendered.accumulation {
-            out.weight = get(accumulation.row(0, y), x, n);
-        }
+        set_row(cells, r, &get(row(0), x, n), |cell| &mut cell.transmittance);
+        let mut weight = match d_rendered.accumulation {
+            Some(accumulation) => get(accumulation.row(0, y), x, n),
+            None => [0.0; TILE],
+        };
         if let Some(depth) = d_rendered.depth {
             // depth = Σwz / max(Σw, 1e-6)
             let (g, value, sum) = (get(depth.row(0, y), x, n), get(row(1), x, n), get(row(2), x, n));
-            out.depth = each(|l| g[l] / sum[l].max(1e-6));
-            let weight = out.weight;
-            out.weight =
-                each(|l| if sum[l] > 1e-6 { weight[l] - out.depth[l] * value[l] } else { weight[l] });
+            let d_sum = each(|l| g[l] / sum[l].max(1e-6));
+            weight = each(|l| if sum[l] > 1e-6 { weight[l] - d_sum[l] * value[l] } else { weight[l] });
+            set_row(cells, r, &d_sum, |cell| &mut cell.depth);
         }
+        set_row(cells, r, &weight, |cell| &mut cell.weight);
     }
 }

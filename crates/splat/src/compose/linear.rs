@@ -8,11 +8,11 @@ use fearless_simd::dispatch;
 
 use super::groups::in_groups;
 use super::inputs::{input, row_splats};
-use super::pixels::put;
+use super::pixels::{get, put, row_of, set_row};
 use super::rasterizer::{Kernels, Rasterizer};
 use super::strips::{PlanesMut, for_each};
 use super::sums::scatter;
-use super::tile::{CHANNELS, ForwardTile, Lanes, Sink};
+use super::tile::{CELLS, CHANNELS, ForwardTile, Lanes, Sink};
 use super::{lanes, plain};
 use crate::lists::{Prepared, TILE};
 use crate::project::EntryGradient;
@@ -41,7 +41,7 @@ impl Rasterizer {
                 for column in 0..prepared.columns.tiles() {
                     let input = input(prepared, &splats, row, column);
                     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
-                    let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
+                    let mut tile = [[[0.0; TILE]; CHANNELS]; CELLS];
                     match kernels {
                         Kernels::Plain => plain::splat(&input, of, &mut state, &mut tile),
                         Kernels::Lanes(level) => {
@@ -53,9 +53,9 @@ impl Rasterizer {
                         }
                     }
                     let columns = column * TILE..column * TILE + input.filled_columns;
-                    for (r, from) in tile[..input.filled_rows].iter().enumerate() {
-                        for (c, lanes) in from[..count].iter().enumerate() {
-                            put(strips.row(c, r, columns.clone()), lanes);
+                    for r in 0..input.filled_rows {
+                        for c in 0..count {
+                            put(strips.row(c, r, columns.clone()), &row_of(&tile, r, |cell| &cell[c]));
                         }
                     }
                 }
@@ -83,7 +83,7 @@ impl Rasterizer {
                     for column in 0..prepared.columns.tiles() {
                         let input = input(prepared, &splats, row, column);
                         let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
-                        let mut tile = [[[0.0; TILE]; CHANNELS]; TILE];
+                        let mut tile = [[[0.0; TILE]; CHANNELS]; CELLS];
                         load(planes, prepared, row, column, &mut tile);
                         let mut sink = Sink { records: &mut *records, column: column as u32 };
                         match kernels {
@@ -114,13 +114,13 @@ fn load(
     prepared: &Prepared,
     row: usize,
     column: usize,
-    tile: &mut [[Lanes; CHANNELS]; TILE],
+    tile: &mut [[Lanes; CHANNELS]; CELLS],
 ) {
     let (rows, columns) = (prepared.rows.filled(row), prepared.columns.filled(column));
     for (c, plane) in planes.chunks_exact((prepared.width * prepared.height).max(1)).enumerate() {
-        for (r, out) in tile[..rows].iter_mut().enumerate() {
-            let start = (row * TILE + r) * prepared.width + column * TILE;
-            out[c][..columns].copy_from_slice(&plane[start..start + columns]);
+        for r in 0..rows {
+            let from = &plane[(row * TILE + r) * prepared.width..][..prepared.width];
+            set_row(tile, r, &get(from, column * TILE, columns), |cell| &mut cell[c]);
         }
     }
 }

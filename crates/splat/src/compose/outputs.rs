@@ -7,7 +7,7 @@ use std::ops::Range;
 use use3d_capture::{Image, Map, MediumMaps};
 use use3d_numerics::lanes::exp2;
 
-use super::pixels::{each, get, put, ray_lengths};
+use super::pixels::{each, get, put, ray_lengths, row_of};
 use super::strips::PlanesMut;
 use super::tile::{BackwardTile, ForwardTile, Lanes, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
@@ -54,18 +54,28 @@ pub(crate) fn store_saved(
     tile: &ForwardTile,
     (values, stop): &mut SavedPlanes<'_>,
 ) {
-    for (r, row) in tile.rows[..input.filled_rows].iter().enumerate() {
-        put(values.row(0, r, columns.clone()), &row.transmittance);
-        put(values.row(1, r, columns.clone()), &expected(&row.depth, &row.accumulation));
-        put(values.row(2, r, columns.clone()), &row.accumulation);
-        put(stop.row(0, r, columns.clone()), &row.stop);
+    for r in 0..input.filled_rows {
+        let (depth, accumulation) = depth_of(tile, r);
+        put(values.row(0, r, columns.clone()), &transmittance_of(tile, r));
+        put(values.row(1, r, columns.clone()), &depth);
+        put(values.row(2, r, columns.clone()), &accumulation);
+        put(stop.row(0, r, columns.clone()), &row_of(&tile.cells, r, |cell| &cell.stop));
     }
 }
 
-/// `Σ w z / max(Σ w, 1e-6)`.
+/// The transmittance of a row, whose sign says whether the pixel has stopped.
 #[inline(always)]
-fn expected(sum: &Lanes, weight: &Lanes) -> Lanes {
-    each(|l| sum[l] / weight[l].max(1e-6))
+fn transmittance_of(tile: &ForwardTile, r: usize) -> Lanes {
+    let signed = row_of(&tile.cells, r, |cell| &cell.transmittance);
+    each(|l| signed[l].abs())
+}
+
+/// The expected depth `Σ w z / max(Σ w, 1e-6)` and the accumulation `Σ w` of a row.
+#[inline(always)]
+fn depth_of(tile: &ForwardTile, r: usize) -> (Lanes, Lanes) {
+    let sum = row_of(&tile.cells, r, |cell| &cell.depth);
+    let weight = row_of(&tile.cells, r, |cell| &cell.accumulation);
+    (each(|l| sum[l] / weight[l].max(1e-6)), weight)
 }
 
 /// The strips of a rendered view: the image (three planes), depth and accumulation.
@@ -91,20 +101,23 @@ pub(crate) fn store_images<const WATER: bool>(
     tile: &ForwardTile,
     out: &mut ImagePlanes<'_>,
 ) {
-    for (r, from) in tile.rows[..input.filled_rows].iter().enumerate() {
+    for r in 0..input.filled_rows {
         let y = row * TILE + r;
         for c in 0..3 {
+            let object = row_of(&tile.cells, r, |cell| &cell.object[c]);
             let lanes = match medium {
                 Some(medium) if WATER => {
+                    let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
                     let color = get(medium.color.row(c, y), columns.start, columns.len());
-                    each(|l| color[l].mul_add(1.0 - from.veil[c][l], from.object[c][l]))
+                    each(|l| color[l].mul_add(1.0 - veil[l], object[l]))
                 }
-                _ => from.object[c],
+                _ => object,
             };
             put(out.row(c, r, columns.clone()), &lanes);
         }
-        put(out.row(3, r, columns.clone()), &expected(&from.depth, &from.accumulation));
-        put(out.row(4, r, columns.clone()), &from.accumulation);
+        let (depth, accumulation) = depth_of(tile, r);
+        put(out.row(3, r, columns.clone()), &depth);
+        put(out.row(4, r, columns.clone()), &accumulation);
     }
 }
 
@@ -141,23 +154,28 @@ pub(crate) fn store_layers<const WATER: bool>(
 ) {
     let Composed { input, water, tile } = composed;
     let columns = column * TILE..column * TILE + input.filled_columns;
-    for (r, from) in tile.rows[..input.filled_rows].iter().enumerate() {
+    for r in 0..input.filled_rows {
         let y = row * TILE + r;
+        let transmittance = transmittance_of(tile, r);
+        let last = row_of(&tile.cells, r, |cell| &cell.last);
         for c in 0..3 {
             let (mut interval, mut far) = ([0.0; TILE], [0.0; TILE]);
             if WATER && let Some(medium) = medium {
                 let color = get(medium.color.row(c, y), columns.start, columns.len());
-                let (deviation, centre) = (&water.rows[r].backscatter[c], water.centre[3 + c]);
-                far =
-                    each(|l| from.transmittance[l] * color[l] * exp2((deviation[l] + centre) * from.last[l]));
-                interval = each(|l| color[l].mul_add(1.0 - from.veil[c][l], -far[l]));
+                let deviation = row_of(&water.cells, r, |cell| &cell.backscatter[c]);
+                let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
+                let centre = water.centre[3 + c];
+                far = each(|l| transmittance[l] * color[l] * exp2((deviation[l] + centre) * last[l]));
+                interval = each(|l| color[l].mul_add(1.0 - veil[l], -far[l]));
             }
-            for (k, lanes) in [&from.object[c], &interval, &far, &from.clear[c]].into_iter().enumerate() {
+            let object = row_of(&tile.cells, r, |cell| &cell.object[c]);
+            let clear = row_of(&tile.cells, r, |cell| &cell.clear[c]);
+            for (k, lanes) in [object, interval, far, clear].iter().enumerate() {
                 put(out.row(3 * k + c, r, columns.clone()), lanes);
             }
         }
         let ray = ray_lengths(prepared, y, column);
-        let depth = expected(&from.depth, &from.accumulation);
+        let (depth, _) = depth_of(tile, r);
         put(out.row(12, r, columns.clone()), &each(|l| depth[l] * ray[l]));
     }
 }
@@ -189,14 +207,17 @@ pub(crate) fn store_medium_gradient<const WATER: bool>(
     out: &mut MediumPlanes<'_>,
 ) {
     let columns = column * TILE..column * TILE + input.filled_columns;
-    for (r, from) in tile.rows[..input.filled_rows].iter().enumerate() {
+    for r in 0..input.filled_rows {
         let ray = ray_lengths(prepared, row * TILE + r, column);
         for c in 0..3 {
-            let color =
-                if WATER { each(|l| from.image[c][l] * (1.0 - from.veil[c][l])) } else { [0.0; TILE] };
+            let image = row_of(&tile.cells, r, |cell| &cell.image[c]);
+            let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
+            let veil_moment = row_of(&tile.cells, r, |cell| &cell.veil_moment[c]);
+            let object_moment = row_of(&tile.cells, r, |cell| &cell.object_moment[c]);
+            let color = if WATER { each(|l| image[l] * (1.0 - veil[l])) } else { [0.0; TILE] };
             put(out.row(c, r, columns.clone()), &color);
-            put(out.row(3 + c, r, columns.clone()), &each(|l| -from.veil_moment[c][l] * ray[l]));
-            put(out.row(6 + c, r, columns.clone()), &each(|l| -from.object_moment[c][l] * ray[l]));
+            put(out.row(3 + c, r, columns.clone()), &each(|l| -veil_moment[l] * ray[l]));
+            put(out.row(6 + c, r, columns.clone()), &each(|l| -object_moment[l] * ray[l]));
         }
     }
 }

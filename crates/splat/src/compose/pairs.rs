@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::inputs::{input, row_splats};
 use super::plain;
-use super::tile::{ForwardTile, NEVER, TileWater};
-use crate::lists::{Prepared, TILE};
+use super::tile::{CELL, CELLS, ForwardTile, NEVER, TileWater, place};
+use crate::lists::Prepared;
 use crate::project::{LOG2_255, Splat};
 
 /// Counts of the (pixel, Gaussian) pairs of a prepared view.
@@ -13,8 +13,8 @@ use crate::project::{LOG2_255, Splat};
 pub struct Pairs {
     /// Pairs on which a pixel's colour depends.
     pub contributing: u64,
-    /// Pairs that the lane kernels evaluate: pixels of rows that a Gaussian's contour meets, until all
-    /// pixels of the row have stopped.
+    /// Pairs that the lane kernels evaluate: the pixels of each 4×4 cell that a Gaussian's contour meets,
+    /// until all pixels of the cell have stopped.
     pub tested: u64,
     /// (tile, Gaussian) entries of the lists.
     pub entries: u64,
@@ -43,26 +43,33 @@ impl Prepared {
         let mut state = ForwardTile::new(rows, columns);
         plain::forward::<false, false>(&input, &TileWater::default(), &mut state);
         let mut pairs = Pairs { entries: input.list.len() as u64, ..Pairs::default() };
+        // The last entry that some pixel of each cell receives.
+        let last = state.cells.each_ref().map(|cell| cell.stop.into_iter().max().unwrap_or(NEVER));
         for k in 0..input.list.len() {
             let splat = input.entry(k).1;
+            let mut met = 0u32;
             for r in 0..rows {
-                let state = &state.rows[r];
-                let last = state.stop[..columns].iter().copied().max().unwrap_or(NEVER);
-                if last < k as i32 {
-                    continue;
-                }
                 let terms = splat.row(input.rows[r]);
                 let power = |x: f32| {
                     let t = x - terms.peak;
                     (t * splat.steepness).mul_add(-t, terms.power)
                 };
-                let nearest = terms.peak.max(input.columns[0]).min(input.columns[TILE - 1]);
-                if power(nearest) >= -LOG2_255 {
-                    pairs.tested += columns as u64;
-                    let live = |l: &usize| power(input.columns[*l]) >= -LOG2_255 && state.stop[*l] > k as i32;
-                    pairs.contributing += (0..columns).filter(live).count() as u64;
+                for (l, &x) in input.columns[..columns].iter().enumerate() {
+                    let (cell, lane) = place(r, l);
+                    if last[cell] < k as i32 {
+                        continue;
+                    }
+                    let ends = [input.columns[l / CELL * CELL], input.columns[l / CELL * CELL + CELL - 1]];
+                    if power(terms.peak.max(ends[0]).min(ends[1])) >= -LOG2_255 {
+                        met |= 1 << cell;
+                    }
+                    let live = power(x) >= -LOG2_255 && state.cells[cell].stop[lane] > k as i32;
+                    pairs.contributing += u64::from(live);
                 }
             }
+            let inside = |pixels: usize, cell: usize| pixels.saturating_sub(cell * CELL).min(CELL) as u64;
+            let pixels = |cell: usize| inside(rows, cell / CELL) * inside(columns, cell % CELL);
+            pairs.tested += (0..CELLS).filter(|cell| met >> cell & 1 == 1).map(pixels).sum::<u64>();
         }
         pairs
     }

@@ -2,7 +2,7 @@
 //!
 //! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
-use super::tile::Lanes;
+use super::tile::{CELL, CELLS, Lanes, place};
 use crate::lists::{Prepared, TILE};
 
 /// Returns 16 pixels of a row from `start`; beyond the last of the `n` pixels, repeats it.
@@ -20,6 +20,35 @@ pub(super) fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
     match pixels.first_chunk_mut() {
         Some(out) => *out = *lanes,
         None => pixels.copy_from_slice(&lanes[..pixels.len()]),
+    }
+}
+
+/// Row `r` of a tile from its cells, of which `plane` picks one array.
+#[inline(always)]
+pub(super) fn row_of<C, T: Copy + Default>(
+    cells: &[C; CELLS],
+    r: usize,
+    plane: impl Fn(&C) -> &[T; TILE],
+) -> [T; TILE] {
+    let mut row = [T::default(); TILE];
+    for (l, four) in (0..TILE).step_by(CELL).zip(row.as_chunks_mut::<CELL>().0) {
+        let (cell, lane) = place(r, l);
+        four.copy_from_slice(&plane(&cells[cell])[lane..lane + CELL]);
+    }
+    row
+}
+
+/// Sets row `r` of a tile in its cells: the inverse of [`row_of`].
+#[inline(always)]
+pub(super) fn set_row<C, T: Copy>(
+    cells: &mut [C; CELLS],
+    r: usize,
+    row: &[T; TILE],
+    plane: impl Fn(&mut C) -> &mut [T; TILE],
+) {
+    for (l, four) in (0..TILE).step_by(CELL).zip(row.as_chunks::<CELL>().0) {
+        let (cell, lane) = place(r, l);
+        plane(&mut cells[cell])[lane..lane + CELL].copy_from_slice(four);
     }
 }
 

@@ -25,44 +25,44 @@
 //! one running number and no list.
 //!
 //! The lane code performs the same operations in the same order, so both compute the same bits where
-//! multiply-add is fused. Sums per Gaussian run over the rows of a pixel column, then over columns by
-//! [`sum`], then over tiles.
+//! multiply-add is fused. Sums per Gaussian run over the cells of a tile, lane by lane, then over the lanes
+//! by [`sum`], then over tiles.
 
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
 use super::tile::{
-    ALPHA_MAX, BackwardTile, CHANNELS, ColumnSums, ForwardRow, ForwardTile, Lanes, RowTerms, STOP, Sink,
-    TileInput, TileWater, moments,
+    ALPHA_MAX, BackwardTile, CELLS, CHANNELS, ForwardCell, ForwardTile, LaneSums, Lanes, RATIO_MAX, RowTerms,
+    STOP, Sink, TileInput, TileWater, place,
 };
 use crate::lists::TILE;
 use crate::project::{EntryGradient, LOG2_255, Splat, SplatGradient};
 
-/// The six exponentials of one Gaussian in one tile.
+/// The six exponentials of one Gaussian in one tile, as `factor · at`.
 struct Decay {
     z: f32,
-    /// The tile's factors, attenuation then backscatter; `None` where deviations are not small.
-    factor: Option<[f32; 6]>,
+    /// Of the cubic in the deviation; `None` where deviations are not small.
+    coefficients: Option<[f32; 4]>,
+    /// The tile's factors, attenuation then backscatter; 1 where deviations are not small.
+    factor: [f32; 6],
     /// `centre · z`.
     exponent: [f32; 6],
 }
 
 impl Decay {
     fn new(water: &TileWater, z: f32) -> Self {
-        let exponent = std::array::from_fn(|q| water.centre[q] * z);
-        let factor = (z <= water.near).then(|| exponent.map(exp2));
-        Self { z, factor, exponent }
+        let exponent: [f32; 6] = std::array::from_fn(|q| water.centre[q] * z);
+        let [k0, k1, k2, k3] = SMALL_COEFFICIENTS;
+        let coefficients = (z <= water.near).then(|| [k0, k1 * z, k2 * (z * z), k3 * (z * z * z)]);
+        let factor = if coefficients.is_some() { exponent.map(exp2) } else { [1.0; 6] };
+        Self { z, coefficients, factor, exponent }
     }
 
-    /// `scale · e^{-β s}` of quantity `q` at a pixel with this deviation.
+    /// `e^{-β s}` of quantity `q` at a pixel with this deviation, divided by the factor.
     #[inline(always)]
-    fn at(&self, q: usize, deviation: f32, scale: f32) -> f32 {
-        match self.factor {
-            Some(factor) => {
-                let x = deviation * self.z;
-                let k = SMALL_COEFFICIENTS.map(|v| (factor[q] * scale) * v);
-                k[3].mul_add(x, k[2]).mul_add(x, k[1]).mul_add(x, k[0])
-            }
-            None => exp2(deviation.mul_add(self.z, self.exponent[q])) * scale,
+    fn at(&self, q: usize, deviation: f32) -> f32 {
+        match self.coefficients {
+            Some([k0, k1, k2, k3]) => k3.mul_add(deviation, k2).mul_add(deviation, k1).mul_add(deviation, k0),
+            None => exp2(deviation.mul_add(self.z, self.exponent[q])),
         }
     }
 }
@@ -84,17 +84,20 @@ pub(crate) fn forward<const WATER: bool, const LAYERS: bool>(
         let splat = input.entry(k).1;
         let decay = WATER.then(|| Decay::new(water, splat.z));
         for r in 0..input.filled_rows {
-            let (terms, row, water) = (splat.row(input.rows[r]), &mut tile.rows[r], &water.rows[r]);
-            for l in 0..TILE {
-                let Some(w) = weight(splat, terms, input.columns[l], row, l, k) else { continue };
+            let terms = splat.row(input.rows[r]);
+            for (column, &x) in input.columns.iter().enumerate() {
+                let (cell, l) = place(r, column);
+                let (row, water) = (&mut tile.cells[cell], &water.cells[cell]);
+                let Some(w) = weight(splat, terms, x, row, l, k) else { continue };
                 row.depth[l] = w.mul_add(splat.z, row.depth[l]);
                 row.accumulation[l] += w;
                 for c in 0..3 {
                     if let Some(decay) = &decay {
-                        let object = decay.at(c, water.attenuation[c][l], splat.color[c]);
-                        let veil = decay.at(c + 3, water.backscatter[c][l], 1.0);
-                        row.object[c][l] = w.mul_add(object, row.object[c][l]);
-                        row.veil[c][l] = w.mul_add(veil, row.veil[c][l]);
+                        let object = decay.at(c, water.attenuation[c][l]);
+                        let veil = decay.at(c + 3, water.backscatter[c][l]);
+                        let colored = w * (decay.factor[c] * splat.color[c]);
+                        row.object[c][l] = colored.mul_add(object, row.object[c][l]);
+                        row.veil[c][l] = (w * decay.factor[c + 3]).mul_add(veil, row.veil[c][l]);
                     } else {
                         row.object[c][l] = w.mul_add(splat.color[c], row.object[c][l]);
                     }
@@ -119,26 +122,24 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     s_gradient: f32,
     sink: &mut Sink<'_>,
 ) {
-    let origin = [input.columns[TILE / 2], input.rows[TILE / 2]];
-    let offset: Lanes = input.columns.map(|x| x - origin[0]);
     let centre = &water.centre;
     for k in (0..input.list.len()).rev() {
         let (span, splat) = input.entry(k);
         let decay = WATER.then(|| Decay::new(water, splat.z));
         let (kappa, inverse) = splat.conic_terms();
-        let mut sums = ColumnSums::zeros([0.0f32; TILE]);
+        let mut sums = LaneSums::zeros([0.0f32; TILE]);
         for r in 0..input.filled_rows {
-            let (terms, row, water) = (splat.row(input.rows[r]), &mut tile.rows[r], &water.rows[r]);
-            let eta = input.rows[r] - origin[1];
-            let dy_term = terms.dy * inverse;
-            for l in 0..TILE {
-                let (power, t) = log2_alpha(splat, terms, input.columns[l]);
+            let terms = splat.row(input.rows[r]);
+            let dy = terms.dy;
+            for (column, &x) in input.columns.iter().enumerate() {
+                let (cell, l) = place(r, column);
+                let (row, water) = (&mut tile.cells[cell], &water.cells[cell]);
+                let (power, t) = log2_alpha(splat, terms, x);
                 let live = power >= -LOG2_255 && row.stop[l] > k as i32;
                 if !live {
                     continue;
                 }
-                let raw = exp2_unclamped(power);
-                let alpha = raw.min(ALPHA_MAX);
+                let alpha = exp2_unclamped(power).min(ALPHA_MAX);
                 let over = 1.0 / (1.0 - alpha);
                 let transmittance = row.transmittance[l] * over;
                 let w = transmittance * alpha;
@@ -149,9 +150,9 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
                 for c in 0..3 {
                     let g = row.image[c][l];
                     if let Some(decay) = &decay {
-                        let object = g * decay.at(c, water.attenuation[c][l], 1.0);
-                        let veil = decay.at(c + 3, water.backscatter[c][l], 1.0);
-                        let colored = object * splat.color[c];
+                        let object = g * decay.at(c, water.attenuation[c][l]);
+                        let veil = decay.at(c + 3, water.backscatter[c][l]) * decay.factor[c + 3];
+                        let colored = object * (decay.factor[c] * splat.color[c]);
                         let veiled = row.veiled[c][l] * veil;
                         v = (v + colored) + veiled;
                         let a = water.attenuation[c][l] + centre[c];
@@ -160,7 +161,7 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
                         slope = b.mul_add(veiled, slope);
                         let mut color = object;
                         if EXTRAS {
-                            color += row.clear[c][l];
+                            color = object.mul_add(decay.factor[c], row.clear[c][l]);
                             v = row.clear[c][l].mul_add(splat.color[c], v);
                         }
                         sums.color[c][l] = w.mul_add(color, sums.color[c][l]);
@@ -182,38 +183,36 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
                 let ratio = alpha * over;
                 let g = ratio.mul_add(row.behind[l], wv);
                 row.behind[l] -= wv;
-                let g = if raw <= ALPHA_MAX { g } else { 0.0 };
+                let g = if ratio < RATIO_MAX { g } else { 0.0 };
+                let (g_t, g_dy) = (g * t, g * dy);
                 sums.weight[l] += g;
-                sums.eta[l] = g.mul_add(eta, sums.eta[l]);
-                sums.eta_eta[l] = g.mul_add(eta * eta, sums.eta_eta[l]);
-                sums.screen[0][l] = g.abs().mul_add(t.abs(), sums.screen[0][l]);
-                sums.screen[1][l] = g.abs().mul_add(t.mul_add(kappa, dy_term).abs(), sums.screen[1][l]);
+                sums.t[l] += g_t;
+                sums.dy[l] += g_dy;
+                sums.t_t[l] = g_t.mul_add(t, sums.t_t[l]);
+                sums.t_dy[l] = g_t.mul_add(dy, sums.t_dy[l]);
+                sums.dy_dy[l] = g_dy.mul_add(dy, sums.dy_dy[l]);
+                sums.screen[0][l] += g_t.abs();
+                let slope = t.mul_add(kappa, dy * inverse).abs();
+                sums.screen[1][l] = g.abs().mul_add(slope, sums.screen[1][l]);
             }
         }
-        sink.put(span, finish(splat, origin, &offset, &sums));
+        if let Some(decay) = &decay
+            && !EXTRAS
+        {
+            for (lanes, factor) in sums.color.iter_mut().zip(decay.factor) {
+                lanes.iter_mut().for_each(|v| *v *= factor);
+            }
+        }
+        sink.put(span, finish(&sums));
     }
 }
 
-/// Sums over the columns and returns the sums as a record.
-pub(crate) fn finish(
-    splat: &Splat,
-    origin: [f32; 2],
-    offset: &Lanes,
-    sums: &ColumnSums<Lanes>,
-) -> EntryGradient {
-    let weighted = |a: &Lanes| -> Lanes { std::array::from_fn(|l| a[l] * offset[l]) };
-    let x0 = weighted(&sums.weight);
-    let in_tile = [
-        sum(&sums.weight),
-        sum(&x0),
-        sum(&weighted(&x0)),
-        sum(&sums.eta),
-        sum(&weighted(&sums.eta)),
-        sum(&sums.eta_eta),
-    ];
-    let [s0, t, y, tt, ty, yy] = moments(splat, origin, in_tile);
-    let (z, color, screen) = (sum(&sums.z), sums.color.map(|c| sum(&c)), sums.screen.map(|v| sum(&v)));
-    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
+/// Adds the lanes and returns the sums as a record.
+fn finish(sums: &LaneSums<Lanes>) -> EntryGradient {
+    let LaneSums { weight, t, dy, t_t, t_dy, dy_dy, z, color, screen } = sums;
+    let (color, screen) = (color.map(|c| sum(&c)), screen.map(|v| sum(&v)));
+    let [weight, t, dy, t_t, t_dy, dy_dy, z] = [weight, t, dy, t_t, t_dy, dy_dy, z].map(sum);
+    SplatGradient { weight, t, dy, t_t, t_dy, dy_dy, z, color, screen }.record()
 }
 
 /// Stage 2: computes the gradient with respect to colours and the medium, front to back, without geometry.
@@ -229,19 +228,20 @@ pub(crate) fn backward_colors<const WATER: bool>(
         let decay = WATER.then(|| Decay::new(water, splat.z));
         let mut lanes = [[0.0f32; TILE]; 3];
         for r in 0..input.filled_rows {
-            let (terms, row, water) = (splat.row(input.rows[r]), &mut tile.rows[r], &water.rows[r]);
-            let state = &mut forward.rows[r];
-            for l in 0..TILE {
-                let Some(w) = weight(splat, terms, input.columns[l], state, l, k) else { continue };
+            let terms = splat.row(input.rows[r]);
+            for (column, &x) in input.columns.iter().enumerate() {
+                let (cell, l) = place(r, column);
+                let (row, water) = (&mut tile.cells[cell], &water.cells[cell]);
+                let Some(w) = weight(splat, terms, x, &mut forward.cells[cell], l, k) else { continue };
                 let wz = w * splat.z;
                 for c in 0..3 {
                     let g = row.image[c][l];
                     if let Some(decay) = &decay {
-                        let object = g * decay.at(c, water.attenuation[c][l], 1.0);
-                        let veil = decay.at(c + 3, water.backscatter[c][l], 1.0);
+                        let object = g * decay.at(c, water.attenuation[c][l]);
+                        let veil = decay.at(c + 3, water.backscatter[c][l]) * decay.factor[c + 3];
+                        let colored = object * (decay.factor[c] * splat.color[c]);
                         lanes[c][l] = w.mul_add(object, lanes[c][l]);
-                        row.object_moment[c][l] =
-                            wz.mul_add(object * splat.color[c], row.object_moment[c][l]);
+                        row.object_moment[c][l] = wz.mul_add(colored, row.object_moment[c][l]);
                         row.veil_moment[c][l] = wz.mul_add(row.veiled[c][l] * veil, row.veil_moment[c][l]);
                         row.veil[c][l] = w.mul_add(veil, row.veil[c][l]);
                     } else {
@@ -249,6 +249,10 @@ pub(crate) fn backward_colors<const WATER: bool>(
                     }
                 }
             }
+        }
+        let factor = decay.map_or([1.0; 6], |decay| decay.factor);
+        for (lanes, factor) in lanes.iter_mut().zip(factor) {
+            lanes.iter_mut().for_each(|v| *v *= factor);
         }
         sink.put(span, SplatGradient::of_color(std::array::from_fn(|c| sum(&lanes[c]))));
     }
@@ -261,12 +265,12 @@ pub(super) fn weight(
     splat: &Splat,
     terms: RowTerms,
     x: f32,
-    row: &mut ForwardRow,
+    row: &mut ForwardCell,
     l: usize,
     k: usize,
 ) -> Option<f32> {
     let (power, _) = log2_alpha(splat, terms, x);
-    let live = power >= row.threshold[l];
+    let live = power >= -LOG2_255 && row.transmittance[l] > 0.0;
     if !live {
         return None;
     }
@@ -274,7 +278,7 @@ pub(super) fn weight(
     let w = row.transmittance[l] * alpha;
     let rest = row.transmittance[l] * (1.0 - alpha);
     if rest <= STOP {
-        row.threshold[l] = f32::INFINITY;
+        row.transmittance[l] = -row.transmittance[l];
         row.stop[l] = k as i32;
         return None;
     }
@@ -282,22 +286,23 @@ pub(super) fn weight(
     Some(w)
 }
 
-/// The linear splat of up to [`CHANNELS`] channels: `out[row][channel] += Σ w values`.
+/// The linear splat of up to [`CHANNELS`] channels: `out[cell][channel] += Σ w values`.
 pub(crate) fn splat(
     input: &TileInput<'_>,
     values: impl Fn(u32) -> [f32; CHANNELS],
     forward: &mut ForwardTile,
-    out: &mut [[Lanes; CHANNELS]; TILE],
+    out: &mut [[Lanes; CHANNELS]; CELLS],
 ) {
     for k in 0..input.list.len() {
         let splat = input.entry(k).1;
         let values = values(splat.index);
         for r in 0..input.filled_rows {
-            let (terms, state) = (splat.row(input.rows[r]), &mut forward.rows[r]);
-            for l in 0..TILE {
-                if let Some(w) = weight(splat, terms, input.columns[l], state, l, k) {
+            let terms = splat.row(input.rows[r]);
+            for (column, &x) in input.columns.iter().enumerate() {
+                let (cell, l) = place(r, column);
+                if let Some(w) = weight(splat, terms, x, &mut forward.cells[cell], l, k) {
                     for c in 0..CHANNELS {
-                        out[r][c][l] = w.mul_add(values[c], out[r][c][l]);
+                        out[cell][c][l] = w.mul_add(values[c], out[cell][c][l]);
                     }
                 }
             }
@@ -308,7 +313,7 @@ pub(crate) fn splat(
 /// The adjoint of [`splat`]: the first [`CHANNELS`] entries of each record are `Σ_p w maps`.
 pub(crate) fn splat_adjoint(
     input: &TileInput<'_>,
-    maps: &[[Lanes; CHANNELS]; TILE],
+    maps: &[[Lanes; CHANNELS]; CELLS],
     forward: &mut ForwardTile,
     sink: &mut Sink<'_>,
 ) {
@@ -316,16 +321,17 @@ pub(crate) fn splat_adjoint(
         let (span, splat) = input.entry(k);
         let mut lanes = [[0.0f32; TILE]; CHANNELS];
         for r in 0..input.filled_rows {
-            let (terms, state) = (splat.row(input.rows[r]), &mut forward.rows[r]);
-            for l in 0..TILE {
-                if let Some(w) = weight(splat, terms, input.columns[l], state, l, k) {
+            let terms = splat.row(input.rows[r]);
+            for (column, &x) in input.columns.iter().enumerate() {
+                let (cell, l) = place(r, column);
+                if let Some(w) = weight(splat, terms, x, &mut forward.cells[cell], l, k) {
                     for c in 0..CHANNELS {
-                        lanes[c][l] = w.mul_add(maps[r][c][l], lanes[c][l]);
+                        lanes[c][l] = w.mul_add(maps[cell][c][l], lanes[c][l]);
                     }
                 }
             }
         }
-        let mut sums = [0.0; 12];
+        let mut sums = EntryGradient::default();
         for c in 0..CHANNELS {
             sums[c] = sum(&lanes[c]);
         }

@@ -3,15 +3,30 @@
 use use3d_numerics::lanes::SMALL;
 
 use crate::lists::{Span, TILE};
-use crate::project::{EntryGradient, LOG2_255, Splat};
+use crate::project::{EntryGradient, Splat};
 
-/// The 16 pixels of a row.
+/// The 16 pixels of a cell, or of a row of a tile.
 pub(crate) type Lanes = [f32; TILE];
+
+/// Pixels along a cell's side. A tile has 4×4 cells, and a cell is one vector of lanes: a trained Gaussian
+/// covers a few pixels in both directions, and a square of 16 pixels wastes fewer lanes on it than a row.
+pub(crate) const CELL: usize = 4;
+/// Number of cells of a tile.
+pub(crate) const CELLS: usize = (TILE / CELL) * (TILE / CELL);
+
+/// The cell and the lane of the pixel in row `r` and column `l` of a tile.
+#[inline(always)]
+pub(crate) const fn place(r: usize, l: usize) -> (usize, usize) {
+    ((r / CELL) * (TILE / CELL) + l / CELL, (r % CELL) * CELL + l % CELL)
+}
 
 /// Compositing of a pixel stops before its transmittance would fall to this value or below.
 pub(crate) const STOP: f32 = 1e-4;
 /// Largest opacity of one Gaussian at one pixel.
 pub(crate) const ALPHA_MAX: f32 = 0.999;
+/// `α / (1 − α)` of the largest opacity, rounded as the kernels round it; the gradient with respect to `α` is
+/// 0 from here on.
+pub(crate) const RATIO_MAX: f32 = ALPHA_MAX * (1.0 / (1.0 - ALPHA_MAX));
 
 /// The input of one tile: its Gaussians in depth order and its pixel centres.
 #[derive(Clone, Copy)]
@@ -36,16 +51,16 @@ impl<'a> TileInput<'a> {
     }
 }
 
-/// The exponents of one row of pixels, as deviations from the tile's centre: `−β |d| log₂e` is
-/// `centre + deviation`, per unit of z-depth (R1: `s = z |d|`).
+/// The exponents of one cell, as deviations from the tile's centre: `−β |d| log₂e` is `centre + deviation`,
+/// per unit of z-depth (R1: `s = z |d|`).
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
-pub(crate) struct WaterRow {
+pub(crate) struct WaterCell {
     pub(crate) attenuation: [Lanes; 3],
     pub(crate) backscatter: [Lanes; 3],
 }
 
-impl WaterRow {
+impl WaterCell {
     #[inline(always)]
     fn quantity(&self, q: usize) -> &Lanes {
         if q < 3 { &self.attenuation[q] } else { &self.backscatter[q - 3] }
@@ -63,7 +78,7 @@ impl WaterRow {
 #[derive(Clone, Copy, Default)]
 #[repr(C, align(64))]
 pub(crate) struct TileWater {
-    pub(crate) rows: [WaterRow; TILE],
+    pub(crate) cells: [WaterCell; CELLS],
     /// Attenuation rgb, backscatter rgb, padding.
     pub(crate) centre: Lanes,
     /// The depth up to which the deviations times depth stay within [`SMALL`].
@@ -71,16 +86,15 @@ pub(crate) struct TileWater {
 }
 
 impl TileWater {
-    /// Centres the exponents of the first `rows` rows; on entry they are absolute. Padding columns repeat a
-    /// pixel.
+    /// Centres the exponents; on entry they are absolute. Padding repeats a pixel.
     #[inline(always)]
-    pub(crate) fn centre(&mut self, rows: usize) {
+    pub(crate) fn centre(&mut self) {
         let mut largest = 0.0f32;
         self.centre = [0.0; TILE];
         for q in 0..6 {
             let (mut low, mut high) = ([f32::INFINITY; TILE], [f32::NEG_INFINITY; TILE]);
-            for row in &self.rows[..rows] {
-                let lanes = row.quantity(q);
+            for cell in &self.cells {
+                let lanes = cell.quantity(q);
                 for l in 0..TILE {
                     low[l] = if lanes[l] < low[l] { lanes[l] } else { low[l] };
                     high[l] = if lanes[l] > high[l] { lanes[l] } else { high[l] };
@@ -90,8 +104,8 @@ impl TileWater {
             let high = high.into_iter().fold(f32::NEG_INFINITY, f32::max);
             let centre = 0.5 * low + 0.5 * high;
             self.centre[q] = centre;
-            for row in &mut self.rows[..rows] {
-                for v in row.quantity_mut(q) {
+            for cell in &mut self.cells {
+                for v in cell.quantity_mut(q) {
                     *v -= centre;
                 }
             }
@@ -108,12 +122,11 @@ impl TileWater {
     }
 }
 
-/// One row of pixels during the forward pass.
+/// One cell during the forward pass.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
-pub(crate) struct ForwardRow {
-    /// A pixel is live while `log₂ α` is at least this value; infinite once it has stopped.
-    pub(crate) threshold: Lanes,
+pub(crate) struct ForwardCell {
+    /// The transmittance; negative once the pixel has stopped.
     pub(crate) transmittance: Lanes,
     /// `Σ w c e^{-β_a s}`.
     pub(crate) object: [Lanes; 3],
@@ -129,13 +142,12 @@ pub(crate) struct ForwardRow {
     pub(crate) stop: [i32; TILE],
 }
 
-impl ForwardRow {
+impl ForwardCell {
     /// Nothing is composed, and every pixel has stopped.
     const STOPPED: Self = {
         let zero = [0.0; TILE];
         Self {
-            threshold: [f32::INFINITY; TILE],
-            transmittance: [1.0; TILE],
+            transmittance: [-1.0; TILE],
             object: [zero; 3],
             veil: [zero; 3],
             depth: zero,
@@ -153,26 +165,29 @@ pub(crate) const NEVER: i32 = i32::MAX;
 /// A tile during the forward pass.
 #[derive(Clone, Copy)]
 pub(crate) struct ForwardTile {
-    pub(crate) rows: [ForwardRow; TILE],
+    pub(crate) cells: [ForwardCell; CELLS],
 }
 
 impl ForwardTile {
     /// The state before the first Gaussian; padding pixels have stopped.
     #[inline(always)]
     pub(crate) fn new(filled_rows: usize, filled_columns: usize) -> Self {
-        let mut tile = Self { rows: [ForwardRow::STOPPED; TILE] };
-        for row in &mut tile.rows[..filled_rows] {
-            row.threshold[..filled_columns].fill(-LOG2_255);
-            row.stop[..filled_columns].fill(NEVER);
+        let mut tile = Self { cells: [ForwardCell::STOPPED; CELLS] };
+        for r in 0..filled_rows {
+            for l in 0..filled_columns {
+                let (cell, lane) = place(r, l);
+                tile.cells[cell].transmittance[lane] = 1.0;
+                tile.cells[cell].stop[lane] = NEVER;
+            }
         }
         tile
     }
 }
 
-/// One row of pixels during the backward pass, which runs from the farthest Gaussian to the nearest.
+/// One cell during the backward pass, which runs from the farthest Gaussian to the nearest.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
-pub(crate) struct BackwardRow {
+pub(crate) struct BackwardCell {
     pub(crate) stop: [i32; TILE],
     /// The transmittance behind the Gaussian that was undone last.
     pub(crate) transmittance: Lanes,
@@ -192,7 +207,7 @@ pub(crate) struct BackwardRow {
     pub(crate) veil: [Lanes; 3],
 }
 
-impl BackwardRow {
+impl BackwardCell {
     const ZERO: Self = {
         let zero = [0.0; TILE];
         Self {
@@ -214,11 +229,11 @@ impl BackwardRow {
 /// A tile during the backward pass.
 #[derive(Clone, Copy)]
 pub(crate) struct BackwardTile {
-    pub(crate) rows: [BackwardRow; TILE],
+    pub(crate) cells: [BackwardCell; CELLS],
 }
 
 impl BackwardTile {
-    pub(crate) const ZERO: Self = Self { rows: [BackwardRow::ZERO; TILE] };
+    pub(crate) const ZERO: Self = Self { cells: [BackwardCell::ZERO; CELLS] };
 }
 
 /// The place for one tile's records: each lies beside the others of its Gaussian's span.
@@ -270,16 +285,18 @@ impl Splat {
     }
 }
 
-/// A Gaussian's gradient summed over the rows of a tile, column by column. `G = α ∂L/∂α` of a pixel; `η`
-/// is the pixel's row measured from the origin of the sums. `V` holds the 16 columns.
+/// A Gaussian's gradient summed over the cells of a tile, lane by lane: the sums of
+/// [`SplatGradient`](crate::project::SplatGradient) before the lanes are added.
 #[derive(Clone, Copy)]
-pub(crate) struct ColumnSums<V> {
-    /// `ΣG`.
+pub(crate) struct LaneSums<V> {
+    /// `ΣG`, `ΣG t`, `ΣG dy`.
     pub(crate) weight: V,
-    /// `ΣG η`.
-    pub(crate) eta: V,
-    /// `ΣG η²`.
-    pub(crate) eta_eta: V,
+    pub(crate) t: V,
+    pub(crate) dy: V,
+    /// `ΣG t²`, `ΣG t dy`, `ΣG dy²`.
+    pub(crate) t_t: V,
+    pub(crate) t_dy: V,
+    pub(crate) dy_dy: V,
     /// `∂L/∂z / ln 2`.
     pub(crate) z: V,
     /// `∂L/∂c`.
@@ -288,30 +305,10 @@ pub(crate) struct ColumnSums<V> {
     pub(crate) screen: [V; 2],
 }
 
-impl<V: Copy> ColumnSums<V> {
+impl<V: Copy> LaneSums<V> {
     #[inline(always)]
-    pub(crate) fn zeros(zero: V) -> Self {
-        Self { weight: zero, eta: zero, eta_eta: zero, z: zero, color: [zero; 3], screen: [zero; 2] }
+    pub(crate) fn zeros(v: V) -> Self {
+        let (color, screen) = ([v; 3], [v; 2]);
+        Self { weight: v, t: v, dy: v, t_t: v, t_dy: v, dy_dy: v, z: v, color, screen }
     }
-}
-
-/// Converts sums over a tile in tile coordinates into moments about the Gaussian.
-///
-/// `s0 = ΣG`, `sx = ΣG X`, `sxx = ΣG X²`, `s1 = ΣG η`, `sx1 = ΣG X η`, `s2 = ΣG η²`, with `X, η` the pixel
-/// relative to `origin`; then `t = X + shear η + τ` and `dy = η + δ`. The result is
-/// `[ΣG, ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²]`. The sums are f64, because the terms may cancel.
-#[inline(always)]
-pub(crate) fn moments(splat: &Splat, origin: [f32; 2], sums: [f32; 6]) -> [f32; 6] {
-    let [s0, sx, sxx, s1, sx1, s2] = sums;
-    let (s0, sx, sxx) = (f64::from(s0), f64::from(sx), f64::from(sxx));
-    let (s1, sx1, s2) = (f64::from(s1), f64::from(sx1), f64::from(s2));
-    let k = f64::from(splat.shear);
-    let delta = f64::from(origin[1]) - f64::from(splat.y);
-    let tau = f64::from(origin[0]) - f64::from(splat.x) + k * delta;
-    let t = sx + k * s1 + tau * s0;
-    let ty = sx1 + k * s2 + tau * s1 + delta * t;
-    let tt = sxx + k * (k * s2 + 2.0 * sx1) + tau * (tau * s0 + 2.0 * sx + 2.0 * k * s1);
-    let y = s1 + delta * s0;
-    let yy = s2 + delta * (2.0 * s1 + delta * s0);
-    [s0 as f32, t as f32, y as f32, tt as f32, ty as f32, yy as f32]
 }

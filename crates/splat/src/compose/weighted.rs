@@ -28,7 +28,7 @@ use super::outputs::{ImagePlanes, MediumPlanes, image_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::plain;
 use super::strips::for_each;
-use super::tile::{ForwardTile, Lanes};
+use super::tile::{ForwardTile, Lanes, place};
 use crate::lists::{Prepared, RowWeights, TILE};
 use crate::project::LOG2_255;
 use crate::view::Rendered;
@@ -149,7 +149,8 @@ fn row_weights(prepared: &Prepared, row: usize) -> RowWeights {
                     continue;
                 }
                 for (l, &x) in input.columns.iter().enumerate() {
-                    if let Some(w) = plain::weight(splat, terms, x, &mut state.rows[r], l, k) {
+                    let (cell, lane) = place(r, l);
+                    if let Some(w) = plain::weight(splat, terms, x, &mut state.cells[cell], lane, k) {
                         pairs.push((r * TILE + l, k as u16, w));
                     }
                 }

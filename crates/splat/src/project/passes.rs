@@ -162,7 +162,7 @@ fn backward_chunk(input: &BackwardInput<'_>, first: usize, ranks: &[u32], out: C
     let BackwardInput { drawn, sums, gaussians, projector, center } = input;
     let Chunk { means, scales, quats, logits, sh, screen, signed, visible } = out;
     // Ranks are scattered over the view. Reading them all first lets the waits for memory overlap.
-    let mut fetched = [(Splat::default(), [0.0; 12]); CHUNK];
+    let mut fetched = [(Splat::default(), EntryGradient::default()); CHUNK];
     for (fetched, &rank) in fetched.iter_mut().zip(ranks) {
         if rank != HIDDEN {
             *fetched = (drawn.splats[rank as usize], sums[rank as usize]);

@@ -55,8 +55,9 @@ impl Splat {
 }
 
 /// The gradient of one (tile, Gaussian) entry, or the sum of several: the floats of a [`SplatGradient`] as
-/// an array, so that sums are one loop. The linear adjoint uses the floats as channels.
-pub(crate) type EntryGradient = [f32; 12];
+/// an array, so that sums are one loop, in the order in which the tile's lanes are added
+/// ([`sums`](crate::compose)). The linear adjoint uses the first floats as channels.
+pub(crate) type EntryGradient = [f32; 16];
 
 /// The compositor's gradient of a Gaussian by name, which is the input of the projection's backward pass:
 /// sums over pixels with `G = α ∂L/∂α` and, from the Gaussian's centre, `t = dx + shear dy`.
@@ -86,22 +87,21 @@ impl SplatGradient {
     /// The values of a record by name.
     #[inline(always)]
     pub(crate) fn of(record: &EntryGradient) -> Self {
-        let &[weight, t, dy, t_t, t_dy, dy_dy, z, r, g, b, x, y] = record;
+        let &[weight, g, t_dy, _, dy, x, z, _, t, b, dy_dy, _, t_t, y, r, _] = record;
         Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] }
     }
 
-    /// The values as a record.
+    /// The values as a record; the floats without a name repeat others.
     #[inline(always)]
     pub(crate) fn record(self) -> EntryGradient {
         let Self { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] } = self;
-        [weight, t, dy, t_t, t_dy, dy_dy, z, r, g, b, x, y]
+        [weight, g, t_dy, g, dy, x, z, x, t, b, dy_dy, b, t_t, y, r, y]
     }
 
     /// The record of a gradient with respect to colour alone.
     #[inline(always)]
-    pub(crate) fn of_color(color: [f32; 3]) -> EntryGradient {
-        let [r, g, b] = color;
-        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, r, g, b, 0.0, 0.0]
+    pub(crate) fn of_color([r, g, b]: [f32; 3]) -> EntryGradient {
+        [0.0, g, 0.0, g, 0.0, 0.0, 0.0, 0.0, 0.0, b, 0.0, b, 0.0, 0.0, r, 0.0]
     }
 }
 

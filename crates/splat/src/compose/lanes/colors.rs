@@ -2,13 +2,12 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 
+use super::batch::{Batch, Items, Pass, walk};
 use super::decay::{Attenuate, ThroughWater, through};
-use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
 use crate::compose::tile::{BackwardTile, ForwardTile, Sink, TileInput, TileWater};
-use crate::lists::Span;
 use crate::project::SplatGradient;
 
 /// See [`plain::backward_colors`](crate::compose::plain::backward_colors).
@@ -21,7 +20,8 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     sink: &mut Sink<'_>,
 ) {
     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
-    let mut pass = ColorsBackward::<WATER> { water, front: Front::new(input, &mut state), tile, sink };
+    let (front, colors) = (Front::new(input, &mut state), [Items::ZERO; 3]);
+    let mut pass = ColorsBackward::<WATER> { water, front, tile, sink, colors };
     walk::<_, false, _>(simd, input, &mut pass);
 }
 
@@ -30,6 +30,8 @@ struct ColorsBackward<'a, 'b, const WATER: bool> {
     front: Front<'a>,
     tile: &'a mut BackwardTile,
     sink: &'a mut Sink<'b>,
+    /// `w colors` is `∂L/∂c`.
+    colors: [Items; 3],
 }
 
 impl<S: Simd, const WATER: bool> Pass<S> for ColorsBackward<'_, '_, WATER> {
@@ -41,48 +43,56 @@ impl<S: Simd, const WATER: bool> Pass<S> for ColorsBackward<'_, '_, WATER> {
     }
 
     #[inline(always)]
-    fn meet(&mut self, simd: S, entry: &Entry<'_, S>) {
-        let [r, g, b] = through::<_, WATER, _>(simd, self.water, [1.0; 3], entry, self);
-        let [r, g, b, _] = sums(simd, [r, g, b, b]);
-        self.sink.put(entry.span, SplatGradient::of_color([r, g, b]));
+    fn cut(&self) -> f32 {
+        if WATER { self.water.near } else { f32::INFINITY }
     }
 
     #[inline(always)]
-    fn miss(&mut self, span: &Span) {
-        self.sink.put(span, [0.0; 12]);
+    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+        self.front.apply(simd, batch);
+        through::<_, WATER>(simd, self.water, batch, self);
     }
 }
 
 impl<S: Simd, const WATER: bool> ThroughWater<S> for ColorsBackward<'_, '_, WATER> {
-    type Out = [f32x16<S>; 3];
-
     #[inline(always)]
-    fn rows<A: Attenuate<S>>(&mut self, simd: S, entry: &Entry<'_, S>, decay: &A) -> [f32x16<S>; 3] {
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
-        let splat = entry.splat;
-        let (steepness, z) = (c(splat.steepness), c(splat.z));
-        let mut lanes = [c(0.0); 3];
-        for r in entry.rows() {
-            let (power, _) = entry.log2_alpha(simd, steepness, r);
-            let w = self.front.weights(simd, power, r, entry.k);
-            let row = &mut self.tile.rows[r];
-            let wz = w * z;
+        let weights = &self.front.weights;
+        for item in batch.items() {
+            let e = item.entry;
+            let w = weights.get(simd, item.number);
+            let state = &mut self.tile.cells[item.cell];
+            let wz = w * c(batch.z[e]);
             for q in 0..3 {
-                let g = load(simd, &row.image[q]);
+                let mut color = load(simd, &state.image[q]);
                 if A::WATER {
-                    let water = &self.water.rows[r];
-                    let object = g * decay.at::<false>(simd, q, load(simd, &water.attenuation[q]));
-                    let veil = decay.at::<false>(simd, q + 3, load(simd, &water.backscatter[q]));
-                    lanes[q] = w.mul_add(object, lanes[q]);
-                    accumulate(simd, &mut row.object_moment[q], wz, object * c(splat.color[q]));
-                    let veiled = load(simd, &row.veiled[q]) * veil;
-                    accumulate(simd, &mut row.veil_moment[q], wz, veiled);
-                    accumulate(simd, &mut row.veil[q], w, veil);
-                } else {
-                    lanes[q] = w.mul_add(g, lanes[q]);
+                    let water = &self.water.cells[item.cell];
+                    color *= decay.at(simd, q, e, load(simd, &water.attenuation[q]));
+                    let veil = decay.at(simd, q + 3, e, load(simd, &water.backscatter[q]));
+                    let veil = veil * c(decay.factor(q + 3, e));
+                    let colored = color * c(decay.colored(q, e));
+                    accumulate(simd, &mut state.object_moment[q], wz, colored);
+                    let veiled = load(simd, &state.veiled[q]) * veil;
+                    accumulate(simd, &mut state.veil_moment[q], wz, veiled);
+                    accumulate(simd, &mut state.veil[q], w, veil);
                 }
+                self.colors[q].set(item.number, color);
             }
         }
-        lanes
+        for e in 0..batch.len() {
+            let mut lanes = [c(0.0); 3];
+            for item in batch.items_of(e) {
+                let w = weights.get(simd, item.number);
+                for q in 0..3 {
+                    lanes[q] = w.mul_add(self.colors[q].get(simd, item.number), lanes[q]);
+                }
+            }
+            for q in 0..3 {
+                lanes[q] *= c(decay.factor(q, e));
+            }
+            let [r, g, b, _] = sums(simd, [lanes[0], lanes[1], lanes[2], lanes[2]]);
+            self.sink.put(batch.entries[e].0, SplatGradient::of_color([r, g, b]));
+        }
     }
 }

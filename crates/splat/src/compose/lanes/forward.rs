@@ -2,8 +2,8 @@
 
 use fearless_simd::{Simd, SimdBase, f32x16};
 
+use super::batch::{Batch, Pass, walk};
 use super::decay::{Attenuate, ThroughWater, through};
-use super::entries::{Entry, Pass, walk};
 use super::front::Front;
 use super::{accumulate, load, select};
 use crate::compose::tile::{ForwardTile, TileInput, TileWater};
@@ -34,42 +34,45 @@ impl<S: Simd, const WATER: bool, const LAYERS: bool> Pass<S> for Forward<'_, WAT
     }
 
     #[inline(always)]
-    fn meet(&mut self, simd: S, entry: &Entry<'_, S>) {
-        through::<_, WATER, _>(simd, self.water, entry.splat.color, entry, self);
+    fn cut(&self) -> f32 {
+        if WATER { self.water.near } else { f32::INFINITY }
+    }
+
+    #[inline(always)]
+    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+        self.front.apply(simd, batch);
+        through::<_, WATER>(simd, self.water, batch, self);
     }
 }
 
 impl<S: Simd, const WATER: bool, const LAYERS: bool> ThroughWater<S> for Forward<'_, WATER, LAYERS> {
-    type Out = ();
-
     #[inline(always)]
-    fn rows<A: Attenuate<S>>(&mut self, simd: S, entry: &Entry<'_, S>, decay: &A) {
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
-        let splat = entry.splat;
-        let (steepness, z) = (c(splat.steepness), c(splat.z));
-        for r in entry.rows() {
-            let (power, _) = entry.log2_alpha(simd, steepness, r);
-            let w = self.front.weights(simd, power, r, entry.k);
-            let row = &mut self.front.tile.rows[r];
-            accumulate(simd, &mut row.depth, w, z);
-            (load(simd, &row.accumulation) + w).store_array(&mut row.accumulation);
+        for item in batch.items() {
+            let e = item.entry;
+            let (w, z) = (self.front.weights.get(simd, item.number), c(batch.z[e]));
+            let state = &mut self.front.tile.cells[item.cell];
+            accumulate(simd, &mut state.depth, w, z);
+            (load(simd, &state.accumulation) + w).store_array(&mut state.accumulation);
             for q in 0..3 {
+                let color = c(batch.color[q][e]);
                 if A::WATER {
-                    let water = &self.water.rows[r];
-                    let object = decay.at::<true>(simd, q, load(simd, &water.attenuation[q]));
-                    let veil = decay.at::<false>(simd, q + 3, load(simd, &water.backscatter[q]));
-                    accumulate(simd, &mut row.object[q], w, object);
-                    accumulate(simd, &mut row.veil[q], w, veil);
+                    let water = &self.water.cells[item.cell];
+                    let object = decay.at(simd, q, e, load(simd, &water.attenuation[q]));
+                    let veil = decay.at(simd, q + 3, e, load(simd, &water.backscatter[q]));
+                    accumulate(simd, &mut state.object[q], w * c(decay.colored(q, e)), object);
+                    accumulate(simd, &mut state.veil[q], w * c(decay.factor(q + 3, e)), veil);
                 } else {
-                    accumulate(simd, &mut row.object[q], w, c(splat.color[q]));
+                    accumulate(simd, &mut state.object[q], w, color);
                 }
                 if LAYERS {
-                    accumulate(simd, &mut row.clear[q], w, c(splat.color[q]));
+                    accumulate(simd, &mut state.clear[q], w, color);
                 }
             }
             if LAYERS {
-                let last = select(w.simd_gt(c(0.0)), z, load(simd, &row.last));
-                last.store_array(&mut row.last);
+                let last = select(w.simd_gt(c(0.0)), z, load(simd, &state.last));
+                last.store_array(&mut state.last);
             }
         }
     }

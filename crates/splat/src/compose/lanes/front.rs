@@ -1,68 +1,60 @@
 //! Composing front to back: the transmittance of each pixel before the next Gaussian, and the entry at
 //! which a pixel stops.
 
-use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16, mask32x16};
+use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
 
+use super::batch::{Batch, Items};
 use super::{load, select};
-use crate::compose::tile::{ALPHA_MAX, ForwardRow, ForwardTile, STOP, TileInput};
+use crate::compose::tile::{ALPHA_MAX, CELL, CELLS, ForwardTile, NEVER, STOP, TileInput};
+use crate::project::LOG2_255;
 
 /// A tile that is composed front to back.
 pub(super) struct Front<'a> {
     pub(super) tile: &'a mut ForwardTile,
-    /// Rows that are not padding and have pixels that have not stopped, as bits.
+    /// Cells that are not all padding and have pixels that have not stopped, as bits.
     pub(super) alive: u32,
+    /// The weights of the last batch.
+    pub(super) weights: Items,
 }
 
 impl<'a> Front<'a> {
     /// The state before the first Gaussian of `input`.
     #[inline(always)]
     pub(super) fn new(input: &TileInput<'_>, tile: &'a mut ForwardTile) -> Self {
-        Self { tile, alive: ((1u64 << input.filled_rows) - 1) as u32 }
+        let filled = |pixels: usize| (1u32 << pixels.div_ceil(CELL)) - 1;
+        let (columns, rows) = (filled(input.filled_columns), filled(input.filled_rows));
+        // The cells of the filled columns, in each of the filled rows of cells.
+        let alive = (0..CELL).filter(|row| rows >> row & 1 == 1).map(|row| columns << (row * CELL)).sum();
+        Self { tile, alive, weights: Items::ZERO }
     }
 
-    /// Applies entry `k` to row `r`: returns the weights and updates transmittance, threshold and stop. The
-    /// row is no longer alive once all its pixels have stopped.
+    /// Applies a batch: computes its weights, and updates transmittances and stops. A cell is no longer
+    /// alive after a batch in which the last of its pixels has stopped.
     #[inline(always)]
-    pub(super) fn weights<S: Simd>(
-        &mut self,
-        simd: S,
-        log2_alpha: f32x16<S>,
-        r: usize,
-        k: usize,
-    ) -> f32x16<S> {
+    pub(super) fn apply<S: Simd>(&mut self, simd: S, batch: &Batch<'_, S>) {
         let c = |v: f32| f32x16::splat(simd, v);
-        let row = &mut self.tile.rows[r];
-        let live = log2_alpha.simd_ge(load(simd, &row.threshold));
-        let alpha = exp2_unclamped_lanes(simd, log2_alpha).min(c(ALPHA_MAX));
-        let alpha = select(live, alpha, c(0.0));
-        let before = load(simd, &row.transmittance);
-        let w = before * alpha;
-        let rest = before * (c(1.0) - alpha);
-        let stopped = rest.simd_le(c(STOP));
-        if stopped.any_true() {
-            if stop(simd, stopped, row, k) {
-                self.alive &= !(1 << r);
-            }
-            select(stopped, before, rest).store_array(&mut row.transmittance);
-            select(stopped, c(0.0), w)
-        } else {
-            rest.store_array(&mut row.transmittance);
-            w
+        let never = i32x16::splat(simd, NEVER);
+        for item in batch.items() {
+            let power = batch.log2_alpha(simd, item);
+            let state = &mut self.tile.cells[item.cell];
+            let live = power.simd_ge(c(-LOG2_255));
+            let alpha = select(live, exp2_unclamped_lanes(simd, power).min(c(ALPHA_MAX)), c(0.0));
+            // The transmittance of a pixel that has stopped is negative.
+            let before = load(simd, &state.transmittance);
+            let open = before.max(c(0.0));
+            let rest = open * (c(1.0) - alpha);
+            let stopped = rest.simd_le(c(STOP));
+            self.weights.set(item.number, select(stopped, c(0.0), open * alpha));
+            select(stopped, -before.abs(), rest).store_array(&mut state.transmittance);
+            // The least entry, because a pixel that has stopped counts as stopped in every later entry.
+            let k = i32x16::splat(simd, batch.places[item.entry]);
+            let here: i32x16<S> = fearless_simd::Select::select(stopped, k, never);
+            i32x16::load_array_ref(simd, &state.stop).min(here).store_array(&mut state.stop);
+        }
+        for cell in 0..CELLS {
+            let open = load(simd, &self.tile.cells[cell].transmittance).simd_gt(c(0.0));
+            self.alive &= !(u32::from(open.all_false()) << cell);
         }
     }
-}
-
-/// Stops pixels of a row at entry `k`. Returns true if all pixels of the row have stopped.
-#[inline(always)]
-fn stop<S: Simd>(simd: S, stopped: mask32x16<S>, row: &mut ForwardRow, k: usize) -> bool {
-    let threshold = select(stopped, f32x16::splat(simd, f32::INFINITY), load(simd, &row.threshold));
-    threshold.store_array(&mut row.threshold);
-    let stops: i32x16<S> = fearless_simd::Select::select(
-        stopped,
-        i32x16::splat(simd, k as i32),
-        i32x16::load_array_ref(simd, &row.stop),
-    );
-    stops.store_array(&mut row.stop);
-    threshold.simd_ge(f32x16::splat(simd, f32::INFINITY)).all_true()
 }

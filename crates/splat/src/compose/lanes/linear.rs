@@ -2,12 +2,12 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 
-use super::entries::{Entry, Pass, walk};
+use super::batch::{Batch, ENTRIES, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{CHANNELS, ForwardTile, Lanes, Sink, TileInput};
-use crate::lists::{Span, TILE};
+use crate::compose::tile::{CELLS, CHANNELS, ForwardTile, Lanes, Sink, TileInput};
+use crate::project::EntryGradient;
 
 /// See [`plain::splat`](crate::compose::plain::splat); the first `C` channels.
 #[inline(always)]
@@ -16,7 +16,7 @@ pub(crate) fn splat<S: Simd, const C: usize>(
     input: &TileInput<'_>,
     values: impl Fn(u32) -> [f32; CHANNELS],
     forward: &mut ForwardTile,
-    out: &mut [[Lanes; CHANNELS]; TILE],
+    out: &mut [[Lanes; CHANNELS]; CELLS],
 ) {
     let mut pass = Splatting::<_, C> { values, front: Front::new(input, forward), out };
     walk::<_, false, _>(simd, input, &mut pass);
@@ -25,7 +25,7 @@ pub(crate) fn splat<S: Simd, const C: usize>(
 struct Splatting<'a, F, const C: usize> {
     values: F,
     front: Front<'a>,
-    out: &'a mut [[Lanes; CHANNELS]; TILE],
+    out: &'a mut [[Lanes; CHANNELS]; CELLS],
 }
 
 impl<S: Simd, F: Fn(u32) -> [f32; CHANNELS], const C: usize> Pass<S> for Splatting<'_, F, C> {
@@ -37,13 +37,15 @@ impl<S: Simd, F: Fn(u32) -> [f32; CHANNELS], const C: usize> Pass<S> for Splatti
     }
 
     #[inline(always)]
-    fn meet(&mut self, simd: S, entry: &Entry<'_, S>) {
-        let values = (self.values)(entry.splat.index);
-        let steepness = f32x16::splat(simd, entry.splat.steepness);
-        for r in entry.rows() {
-            let (power, _) = entry.log2_alpha(simd, steepness, r);
-            let w = self.front.weights(simd, power, r, entry.k);
-            for (lanes, v) in self.out[r][..C].iter_mut().zip(values) {
+    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+        self.front.apply(simd, batch);
+        let mut values = [[0.0; CHANNELS]; ENTRIES];
+        for (out, (_, splat)) in values.iter_mut().zip(&batch.entries[..batch.len()]) {
+            *out = (self.values)(splat.index);
+        }
+        for item in batch.items() {
+            let w = self.front.weights.get(simd, item.number);
+            for (lanes, v) in self.out[item.cell][..C].iter_mut().zip(values[item.entry]) {
                 accumulate(simd, lanes, w, f32x16::splat(simd, v));
             }
         }
@@ -55,7 +57,7 @@ impl<S: Simd, F: Fn(u32) -> [f32; CHANNELS], const C: usize> Pass<S> for Splatti
 pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     simd: S,
     input: &TileInput<'_>,
-    maps: &[[Lanes; CHANNELS]; TILE],
+    maps: &[[Lanes; CHANNELS]; CELLS],
     forward: &mut ForwardTile,
     sink: &mut Sink<'_>,
 ) {
@@ -64,7 +66,7 @@ pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
 }
 
 struct Adjoint<'a, 'b, const C: usize> {
-    maps: &'a [[Lanes; CHANNELS]; TILE],
+    maps: &'a [[Lanes; CHANNELS]; CELLS],
     front: Front<'a>,
     sink: &'a mut Sink<'b>,
 }
@@ -78,25 +80,21 @@ impl<S: Simd, const C: usize> Pass<S> for Adjoint<'_, '_, C> {
     }
 
     #[inline(always)]
-    fn meet(&mut self, simd: S, entry: &Entry<'_, S>) {
-        let steepness = f32x16::splat(simd, entry.splat.steepness);
-        let mut lanes = [f32x16::splat(simd, 0.0); CHANNELS];
-        for r in entry.rows() {
-            let (power, _) = entry.log2_alpha(simd, steepness, r);
-            let w = self.front.weights(simd, power, r, entry.k);
-            for (lanes, map) in lanes[..C].iter_mut().zip(&self.maps[r]) {
-                *lanes = w.mul_add(load(simd, map), *lanes);
+    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+        self.front.apply(simd, batch);
+        for e in 0..batch.len() {
+            let mut lanes = [f32x16::splat(simd, 0.0); CHANNELS];
+            for item in batch.items_of(e) {
+                let w = self.front.weights.get(simd, item.number);
+                for (lanes, map) in lanes[..C].iter_mut().zip(&self.maps[item.cell]) {
+                    *lanes = w.mul_add(load(simd, map), *lanes);
+                }
             }
+            let [a, b, c, d, e4, f, g, h] = lanes;
+            let mut out = EntryGradient::default();
+            out[..4].copy_from_slice(&sums(simd, [a, b, c, d]));
+            out[4..8].copy_from_slice(&sums(simd, [e4, f, g, h]));
+            self.sink.put(batch.entries[e].0, out);
         }
-        let [a, b, c, d, e, f, g, h] = lanes;
-        let mut out = [0.0; 12];
-        out[..4].copy_from_slice(&sums(simd, [a, b, c, d]));
-        out[4..8].copy_from_slice(&sums(simd, [e, f, g, h]));
-        self.sink.put(entry.span, out);
-    }
-
-    #[inline(always)]
-    fn miss(&mut self, span: &Span) {
-        self.sink.put(span, [0.0; 12]);
     }
 }

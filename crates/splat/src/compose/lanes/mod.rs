@@ -1,17 +1,16 @@
-//! The compositor on 16 lanes: one row of a tile is one vector. Every function here is the lane form of the
+//! The compositor on 16 lanes: one cell of 4×4 pixels is one vector. Every function here is the lane form of the
 //! function of the same name in [`plain`](crate::compose::plain), with the same operations in the same
 //! order per pixel and per sum.
 //!
-//! The outer loop inside a tile runs over Gaussians: the tile's pixel state stays in the first-level cache,
-//! and the Gaussian's gradient sums stay in registers. `entries` holds the one loop over a tile's list;
-//! each function is a [`Pass`](entries::Pass), which defines the work per entry. `decay` is the water
-//! between a Gaussian and the pixels, `front` the transmittance before the next Gaussian, and `sums` adds
-//! up lanes.
+//! The outer loop inside a tile runs over batches of Gaussians: the tile's pixel state stays in the
+//! first-level cache. `batch` holds the one loop over a tile's list; each function is a
+//! [`Pass`](batch::Pass), which defines the work per batch. `decay` is the water between Gaussians and
+//! pixels, `front` the transmittance before the next Gaussian, and `sums` adds up lanes.
 
 mod backward;
+mod batch;
 mod colors;
 mod decay;
-mod entries;
 mod forward;
 mod front;
 mod linear;

@@ -2,8 +2,8 @@
 
 use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
 
-use crate::compose::tile::{ColumnSums, moments};
-use crate::project::{EntryGradient, Splat, SplatGradient};
+use crate::compose::tile::LaneSums;
+use crate::project::EntryGradient;
 
 /// Adds the lanes whose indices differ by a multiple of four, in the order of
 /// [`use3d_numerics::lanes::sum`].
@@ -24,22 +24,20 @@ pub(super) fn sums<S: Simd>(simd: S, [a, b, c, d]: [f32x16<S>; 4]) -> [f32; 4] {
     [ab[0] + ab[2], ab[1] + ab[3], cd[0] + cd[2], cd[1] + cd[3]]
 }
 
-/// Sums the backward pass's column sums over the columns and returns them as a record; `offset` is the
-/// columns' distance from `origin`.
+/// Adds the lanes of `a` and of `b` whose indices differ by eight, alternately of `a` and of `b`.
 #[inline(always)]
-pub(super) fn finish<S: Simd>(
-    simd: S,
-    splat: &Splat,
-    origin: [f32; 2],
-    offset: f32x16<S>,
-    of: ColumnSums<f32x16<S>>,
-) -> EntryGradient {
-    let ColumnSums { weight, eta, eta_eta, z, color: [r, g, b], screen: [x, y_slope] } = of;
-    let x0 = weight * offset;
-    let [s0, sx, sxx, s1] = sums(simd, [weight, x0, x0 * offset, eta]);
-    let [sx1, s2, z, r] = sums(simd, [eta * offset, eta_eta, z, r]);
-    let [g, b, x, y_slope] = sums(simd, [g, b, x, y_slope]);
-    let [s0, t, y, tt, ty, yy] = moments(splat, origin, [s0, sx, sxx, s1, sx1, s2]);
-    let (color, screen) = ([r, g, b], [x, y_slope]);
-    SplatGradient { weight: s0, t, dy: y, t_t: tt, t_dy: ty, dy_dy: yy, z, color, screen }.record()
+fn fold<S: Simd>(a: f32x16<S>, b: f32x16<S>) -> f32x16<S> {
+    a.zip_low(b) + a.zip_high(b)
+}
+
+/// Adds the lanes of the backward pass's sums, each in the order of [`use3d_numerics::lanes::sum`], and
+/// returns them as a record. Four foldings of sixteen vectors leave one sum in each lane; the order of the
+/// lanes is that of [`SplatGradient::of`](crate::project::SplatGradient::of).
+#[inline(always)]
+pub(super) fn finish<S: Simd>(of: LaneSums<f32x16<S>>) -> EntryGradient {
+    let LaneSums { weight, t, dy, t_t, t_dy, dy_dy, z, color: [r, g, b], screen: [x, y] } = of;
+    let first = fold(fold(weight, t), fold(dy, t_t));
+    let second = fold(fold(t_dy, dy_dy), fold(z, r));
+    let third = fold(fold(g, b), fold(x, y));
+    fold(fold(first, second), fold(third, third)).to_array()
 }
