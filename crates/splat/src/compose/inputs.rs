@@ -5,10 +5,11 @@
 use std::cell::Cell;
 use std::ops::Deref;
 
+use fearless_simd::{Select, Simd, SimdBase, f32x16};
 use use3d_capture::MediumMaps;
 
 use super::outputs::Saved;
-use super::pixels::{each, get, ray_lengths, set_row};
+use super::pixels::{load, rays, set_row, store_row};
 use super::tile::{BackwardTile, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::project::Splat;
@@ -72,7 +73,8 @@ pub(crate) fn input<'a>(
 
 /// Reads the medium's exponents of a tile.
 #[inline(always)]
-pub(crate) fn load_water(
+pub(crate) fn load_water<S: Simd>(
+    simd: S,
     prepared: &Prepared,
     medium: &MediumMaps,
     row: usize,
@@ -83,17 +85,16 @@ pub(crate) fn load_water(
     for r in 0..TILE {
         // Padding repeats the last row.
         let y = row * TILE + r.min(rows - 1);
-        let ray = ray_lengths(prepared, y, column);
-        let factor = each(|l| ray[l] * -std::f32::consts::LOG2_E);
+        let factor = rays(simd, prepared, y, column) * f32x16::splat(simd, -std::f32::consts::LOG2_E);
         for c in 0..3 {
-            let attenuation = get(medium.attenuation.row(c, y), column * TILE, n);
-            let backscatter = get(medium.backscatter.row(c, y), column * TILE, n);
+            let attenuation = load(simd, medium.attenuation.row(c, y), column * TILE, n);
+            let backscatter = load(simd, medium.backscatter.row(c, y), column * TILE, n);
             let cells = &mut water.cells;
-            set_row(cells, r, &each(|l| attenuation[l] * factor[l]), |cell| &mut cell.attenuation[c]);
-            set_row(cells, r, &each(|l| backscatter[l] * factor[l]), |cell| &mut cell.backscatter[c]);
+            store_row(simd, cells, r, attenuation * factor, |cell| &mut cell.attenuation[c]);
+            store_row(simd, cells, r, backscatter * factor, |cell| &mut cell.backscatter[c]);
         }
     }
-    water.centre();
+    water.centre(simd);
 }
 
 /// The parts of a view that a backward pass reads.
@@ -108,24 +109,30 @@ pub(crate) struct BackwardRead<'a> {
 
 /// Prepares a tile for the backward pass.
 #[inline(always)]
-pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usize, tile: &mut BackwardTile) {
+pub(crate) fn load_derivatives<S: Simd>(
+    simd: S,
+    read: &BackwardRead<'_>,
+    row: usize,
+    column: usize,
+    tile: &mut BackwardTile,
+) {
     let BackwardRead { prepared, medium, d_rendered, saved } = *read;
     let (rows, n) = (prepared.rows.filled(row), prepared.columns.filled(column));
-    let x = column * TILE;
-    let pixels = prepared.width * prepared.height;
+    let (x, pixels) = (column * TILE, prepared.width * prepared.height);
     *tile = BackwardTile::ZERO;
     let cells = &mut tile.cells;
     for r in 0..rows {
         let y = row * TILE + r;
+        let lanes = |row: &[f32]| load(simd, row, x, n);
         for c in 0..3 {
-            let image = get(d_rendered.image.row(c, y), x, n);
-            set_row(cells, r, &image, |cell| &mut cell.image[c]);
+            let image = lanes(d_rendered.image.row(c, y));
+            store_row(simd, cells, r, image, |cell| &mut cell.image[c]);
             if let Some(medium) = medium {
-                let color = get(medium.color.row(c, y), x, n);
-                set_row(cells, r, &each(|l| -(image[l] * color[l])), |cell| &mut cell.veiled[c]);
+                let veiled = -(image * lanes(medium.color.row(c, y)));
+                store_row(simd, cells, r, veiled, |cell| &mut cell.veiled[c]);
             }
             if let Some(clear) = d_rendered.clear {
-                set_row(cells, r, &get(clear.row(c, y), x, n), |cell| &mut cell.clear[c]);
+                store_row(simd, cells, r, lanes(clear.row(c, y)), |cell| &mut cell.clear[c]);
             }
         }
         let Some(saved) = saved else { continue };
@@ -135,18 +142,17 @@ pub(crate) fn load_derivatives(read: &BackwardRead<'_>, row: usize, column: usiz
         stop[..n].copy_from_slice(&saved.stop[start..start + n]);
         set_row(cells, r, &stop, |cell| &mut cell.stop);
         let row = |plane: usize| &saved.values[plane * pixels + y * prepared.width..][..prepared.width];
-        set_row(cells, r, &get(row(0), x, n), |cell| &mut cell.transmittance);
-        let mut weight = match d_rendered.accumulation {
-            Some(accumulation) => get(accumulation.row(0, y), x, n),
-            None => [0.0; TILE],
-        };
+        store_row(simd, cells, r, lanes(row(0)), |cell| &mut cell.transmittance);
+        let weight = d_rendered.accumulation.map(|accumulation| lanes(accumulation.row(0, y)));
+        let mut weight = weight.unwrap_or(f32x16::splat(simd, 0.0));
         if let Some(depth) = d_rendered.depth {
             // depth = Σwz / max(Σw, 1e-6)
-            let (g, value, sum) = (get(depth.row(0, y), x, n), get(row(1), x, n), get(row(2), x, n));
-            let d_sum = each(|l| g[l] / sum[l].max(1e-6));
-            weight = each(|l| if sum[l] > 1e-6 { weight[l] - d_sum[l] * value[l] } else { weight[l] });
-            set_row(cells, r, &d_sum, |cell| &mut cell.depth);
+            let least = f32x16::splat(simd, 1e-6);
+            let (value, sum) = (lanes(row(1)), lanes(row(2)));
+            let d_sum = lanes(depth.row(0, y)) / sum.max(least);
+            weight = sum.simd_gt(least).select(weight - d_sum * value, weight);
+            store_row(simd, cells, r, d_sum, |cell| &mut cell.depth);
         }
-        set_row(cells, r, &weight, |cell| &mut cell.weight);
+        store_row(simd, cells, r, weight, |cell| &mut cell.weight);
     }
 }

@@ -85,7 +85,8 @@ impl Rasterizer {
                         let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
                         let mut tile = [[[0.0; TILE]; CHANNELS]; CELLS];
                         load(planes, prepared, row, column, &mut tile);
-                        let mut sink = Sink { records: &mut *records, column: column as u32 };
+                        let mut sink =
+                            Sink { spans: input.spans, records: &mut *records, column: column as u32 };
                         match kernels {
                             Kernels::Plain => plain::splat_adjoint(&input, &tile, &mut state, &mut sink),
                             Kernels::Lanes(level) => {

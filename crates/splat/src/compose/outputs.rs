@@ -4,12 +4,13 @@
 
 use std::ops::Range;
 
+use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 use use3d_capture::{Image, Map, MediumMaps};
-use use3d_numerics::lanes::exp2;
+use use3d_numerics::lanes::exp2_lanes;
 
-use super::pixels::{each, get, put, ray_lengths, row_of};
+use super::pixels::{load, load_row, put, rays, row_of, store};
 use super::strips::PlanesMut;
-use super::tile::{BackwardTile, ForwardTile, Lanes, TileInput, TileWater};
+use super::tile::{BackwardTile, ForwardTile, TileInput, TileWater};
 use crate::lists::{Prepared, TILE};
 use crate::view::Layers;
 
@@ -48,34 +49,34 @@ impl Saved {
 
 /// Stores the values of a tile.
 #[inline(always)]
-pub(crate) fn store_saved(
+pub(crate) fn store_saved<S: Simd>(
+    simd: S,
     columns: Range<usize>,
     input: &TileInput<'_>,
     tile: &ForwardTile,
     (values, stop): &mut SavedPlanes<'_>,
 ) {
     for r in 0..input.filled_rows {
-        let (depth, accumulation) = depth_of(tile, r);
-        put(values.row(0, r, columns.clone()), &transmittance_of(tile, r));
-        put(values.row(1, r, columns.clone()), &depth);
-        put(values.row(2, r, columns.clone()), &accumulation);
+        let (depth, accumulation) = depth_of(simd, tile, r);
+        store(values.row(0, r, columns.clone()), transmittance_of(simd, tile, r));
+        store(values.row(1, r, columns.clone()), depth);
+        store(values.row(2, r, columns.clone()), accumulation);
         put(stop.row(0, r, columns.clone()), &row_of(&tile.cells, r, |cell| &cell.stop));
     }
 }
 
 /// The transmittance of a row, whose sign says whether the pixel has stopped.
 #[inline(always)]
-fn transmittance_of(tile: &ForwardTile, r: usize) -> Lanes {
-    let signed = row_of(&tile.cells, r, |cell| &cell.transmittance);
-    each(|l| signed[l].abs())
+fn transmittance_of<S: Simd>(simd: S, tile: &ForwardTile, r: usize) -> f32x16<S> {
+    load_row(simd, &tile.cells, r, |cell| &cell.transmittance).abs()
 }
 
 /// The expected depth `Σ w z / max(Σ w, 1e-6)` and the accumulation `Σ w` of a row.
 #[inline(always)]
-fn depth_of(tile: &ForwardTile, r: usize) -> (Lanes, Lanes) {
-    let sum = row_of(&tile.cells, r, |cell| &cell.depth);
-    let weight = row_of(&tile.cells, r, |cell| &cell.accumulation);
-    (each(|l| sum[l] / weight[l].max(1e-6)), weight)
+fn depth_of<S: Simd>(simd: S, tile: &ForwardTile, r: usize) -> (f32x16<S>, f32x16<S>) {
+    let sum = load_row(simd, &tile.cells, r, |cell| &cell.depth);
+    let weight = load_row(simd, &tile.cells, r, |cell| &cell.accumulation);
+    (sum / weight.max(f32x16::splat(simd, 1e-6)), weight)
 }
 
 /// The strips of a rendered view: the image (three planes), depth and accumulation.
@@ -93,7 +94,8 @@ pub(crate) fn image_planes<'a>(
 
 /// Writes image, depth and accumulation of a tile.
 #[inline(always)]
-pub(crate) fn store_images<const WATER: bool>(
+pub(crate) fn store_images<S: Simd, const WATER: bool>(
+    simd: S,
     medium: Option<&MediumMaps>,
     row: usize,
     columns: Range<usize>,
@@ -104,20 +106,17 @@ pub(crate) fn store_images<const WATER: bool>(
     for r in 0..input.filled_rows {
         let y = row * TILE + r;
         for c in 0..3 {
-            let object = row_of(&tile.cells, r, |cell| &cell.object[c]);
-            let lanes = match medium {
-                Some(medium) if WATER => {
-                    let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
-                    let color = get(medium.color.row(c, y), columns.start, columns.len());
-                    each(|l| color[l].mul_add(1.0 - veil[l], object[l]))
-                }
-                _ => object,
-            };
-            put(out.row(c, r, columns.clone()), &lanes);
+            let mut lanes = load_row(simd, &tile.cells, r, |cell| &cell.object[c]);
+            if WATER && let Some(medium) = medium {
+                let veil = load_row(simd, &tile.cells, r, |cell| &cell.veil[c]);
+                let color = load(simd, medium.color.row(c, y), columns.start, columns.len());
+                lanes = color.mul_add(f32x16::splat(simd, 1.0) - veil, lanes);
+            }
+            store(out.row(c, r, columns.clone()), lanes);
         }
-        let (depth, accumulation) = depth_of(tile, r);
-        put(out.row(3, r, columns.clone()), &depth);
-        put(out.row(4, r, columns.clone()), &accumulation);
+        let (depth, accumulation) = depth_of(simd, tile, r);
+        store(out.row(3, r, columns.clone()), depth);
+        store(out.row(4, r, columns.clone()), accumulation);
     }
 }
 
@@ -144,7 +143,8 @@ pub(crate) struct Composed<'a> {
 /// Writes the layers of a tile. The interval medium is `c_m (1 − Σ w E) − far`: the telescoped sum without
 /// its last term.
 #[inline(always)]
-pub(crate) fn store_layers<const WATER: bool>(
+pub(crate) fn store_layers<S: Simd, const WATER: bool>(
+    simd: S,
     prepared: &Prepared,
     medium: Option<&MediumMaps>,
     row: usize,
@@ -156,27 +156,27 @@ pub(crate) fn store_layers<const WATER: bool>(
     let columns = column * TILE..column * TILE + input.filled_columns;
     for r in 0..input.filled_rows {
         let y = row * TILE + r;
-        let transmittance = transmittance_of(tile, r);
-        let last = row_of(&tile.cells, r, |cell| &cell.last);
+        let transmittance = transmittance_of(simd, tile, r);
+        let last = load_row(simd, &tile.cells, r, |cell| &cell.last);
         for c in 0..3 {
-            let (mut interval, mut far) = ([0.0; TILE], [0.0; TILE]);
+            let zero = f32x16::splat(simd, 0.0);
+            let (mut interval, mut far) = (zero, zero);
             if WATER && let Some(medium) = medium {
-                let color = get(medium.color.row(c, y), columns.start, columns.len());
-                let deviation = row_of(&water.cells, r, |cell| &cell.backscatter[c]);
-                let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
-                let centre = water.centre[3 + c];
-                far = each(|l| transmittance[l] * color[l] * exp2((deviation[l] + centre) * last[l]));
-                interval = each(|l| color[l].mul_add(1.0 - veil[l], -far[l]));
+                let color = load(simd, medium.color.row(c, y), columns.start, columns.len());
+                let deviation = load_row(simd, &water.cells, r, |cell| &cell.backscatter[c]);
+                let veil = load_row(simd, &tile.cells, r, |cell| &cell.veil[c]);
+                let centre = f32x16::splat(simd, water.centre[3 + c]);
+                far = transmittance * color * exp2_lanes(simd, (deviation + centre) * last);
+                interval = color.mul_add(f32x16::splat(simd, 1.0) - veil, -far);
             }
-            let object = row_of(&tile.cells, r, |cell| &cell.object[c]);
-            let clear = row_of(&tile.cells, r, |cell| &cell.clear[c]);
-            for (k, lanes) in [object, interval, far, clear].iter().enumerate() {
-                put(out.row(3 * k + c, r, columns.clone()), lanes);
+            let object = load_row(simd, &tile.cells, r, |cell| &cell.object[c]);
+            let clear = load_row(simd, &tile.cells, r, |cell| &cell.clear[c]);
+            for (k, lanes) in [object, interval, far, clear].into_iter().enumerate() {
+                store(out.row(3 * k + c, r, columns.clone()), lanes);
             }
         }
-        let ray = ray_lengths(prepared, y, column);
-        let (depth, _) = depth_of(tile, r);
-        put(out.row(12, r, columns.clone()), &each(|l| depth[l] * ray[l]));
+        let (depth, _) = depth_of(simd, tile, r);
+        store(out.row(12, r, columns.clone()), depth * rays(simd, prepared, y, column));
     }
 }
 
@@ -198,7 +198,8 @@ pub(crate) fn medium_planes<'a>(grads: Option<&'a mut MediumMaps>, prepared: &Pr
 /// Writes the medium's gradient of a tile: `∂c_m = g (1 − Σ w E_b)`,
 /// `∂β_b = |d| Σ w z g c_m E_b`, `∂β_a = −|d| Σ w z g c E_a`.
 #[inline(always)]
-pub(crate) fn store_medium_gradient<const WATER: bool>(
+pub(crate) fn store_medium_gradient<S: Simd, const WATER: bool>(
+    simd: S,
     prepared: &Prepared,
     input: &TileInput<'_>,
     row: usize,
@@ -208,16 +209,17 @@ pub(crate) fn store_medium_gradient<const WATER: bool>(
 ) {
     let columns = column * TILE..column * TILE + input.filled_columns;
     for r in 0..input.filled_rows {
-        let ray = ray_lengths(prepared, row * TILE + r, column);
+        let ray = rays(simd, prepared, row * TILE + r, column);
         for c in 0..3 {
-            let image = row_of(&tile.cells, r, |cell| &cell.image[c]);
-            let veil = row_of(&tile.cells, r, |cell| &cell.veil[c]);
-            let veil_moment = row_of(&tile.cells, r, |cell| &cell.veil_moment[c]);
-            let object_moment = row_of(&tile.cells, r, |cell| &cell.object_moment[c]);
-            let color = if WATER { each(|l| image[l] * (1.0 - veil[l])) } else { [0.0; TILE] };
-            put(out.row(c, r, columns.clone()), &color);
-            put(out.row(3 + c, r, columns.clone()), &each(|l| -veil_moment[l] * ray[l]));
-            put(out.row(6 + c, r, columns.clone()), &each(|l| -object_moment[l] * ray[l]));
+            let image = load_row(simd, &tile.cells, r, |cell| &cell.image[c]);
+            let veil = load_row(simd, &tile.cells, r, |cell| &cell.veil[c]);
+            let veil_moment = load_row(simd, &tile.cells, r, |cell| &cell.veil_moment[c]);
+            let object_moment = load_row(simd, &tile.cells, r, |cell| &cell.object_moment[c]);
+            let one = f32x16::splat(simd, 1.0);
+            let color = if WATER { image * (one - veil) } else { f32x16::splat(simd, 0.0) };
+            store(out.row(c, r, columns.clone()), color);
+            store(out.row(3 + c, r, columns.clone()), -veil_moment * ray);
+            store(out.row(6 + c, r, columns.clone()), -object_moment * ray);
         }
     }
 }

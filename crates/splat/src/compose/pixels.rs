@@ -2,6 +2,8 @@
 //!
 //! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
+use fearless_simd::{Simd, SimdBase, SimdFloat, f32x4, f32x16};
+
 use super::tile::{CELL, CELLS, Lanes, place};
 use crate::lists::{Prepared, TILE};
 
@@ -20,6 +22,54 @@ pub(super) fn put<T: Copy>(pixels: &mut [T], lanes: &[T; TILE]) {
     match pixels.first_chunk_mut() {
         Some(out) => *out = *lanes,
         None => pixels.copy_from_slice(&lanes[..pixels.len()]),
+    }
+}
+
+/// [`get`] as a vector.
+#[inline(always)]
+pub(super) fn load<S: Simd>(simd: S, row: &[f32], start: usize, n: usize) -> f32x16<S> {
+    f32x16::load_array_ref(simd, &get(row, start, n))
+}
+
+/// [`put`] of a vector.
+#[inline(always)]
+pub(super) fn store<S: Simd>(pixels: &mut [f32], lanes: f32x16<S>) {
+    match pixels.first_chunk_mut() {
+        Some(out) => lanes.store_array(out),
+        None => pixels.copy_from_slice(&lanes.to_array()[..pixels.len()]),
+    }
+}
+
+/// [`row_of`] as a vector.
+#[inline(always)]
+pub(super) fn load_row<S: Simd, C>(
+    simd: S,
+    cells: &[C; CELLS],
+    r: usize,
+    plane: impl Fn(&C) -> &Lanes,
+) -> f32x16<S> {
+    let four = |l: usize| {
+        let (cell, lane) = place(r, l);
+        f32x4::from_slice(simd, &plane(&cells[cell])[lane..lane + CELL])
+    };
+    let (low, high) = (simd.combine_f32x4(four(0), four(4)), simd.combine_f32x4(four(8), four(12)));
+    simd.combine_f32x8(low, high)
+}
+
+/// [`set_row`] of a vector.
+#[inline(always)]
+pub(super) fn store_row<S: Simd, C>(
+    simd: S,
+    cells: &mut [C; CELLS],
+    r: usize,
+    lanes: f32x16<S>,
+    plane: impl Fn(&mut C) -> &mut Lanes,
+) {
+    let (low, high) = simd.split_f32x16(lanes);
+    let ((a, b), (c, d)) = (simd.split_f32x8(low), simd.split_f32x8(high));
+    for (four, l) in [a, b, c, d].into_iter().zip((0..TILE).step_by(CELL)) {
+        let (cell, lane) = place(r, l);
+        four.store_slice(&mut plane(&mut cells[cell])[lane..lane + CELL]);
     }
 }
 
@@ -64,6 +114,14 @@ pub(super) fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
 }
 
 /// `|d(p)|` of the 16 pixels of a tile's row.
+#[inline(always)]
+pub(super) fn rays<S: Simd>(simd: S, prepared: &Prepared, y: usize, column: usize) -> f32x16<S> {
+    let c = |v: f32| f32x16::splat(simd, v);
+    let across = load(simd, &prepared.ray_x2, column * TILE, TILE);
+    (c(1.0) + (across + c(prepared.ray_y2[y]))).sqrt()
+}
+
+/// [`rays`] as an array.
 #[inline(always)]
 pub(super) fn ray_lengths(prepared: &Prepared, y: usize, column: usize) -> Lanes {
     let across = get(&prepared.ray_x2, column * TILE, TILE);

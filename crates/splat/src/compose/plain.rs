@@ -31,8 +31,8 @@
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2, exp2_unclamped, sum};
 
 use super::tile::{
-    ALPHA_MAX, BackwardTile, CELLS, CHANNELS, ForwardCell, ForwardTile, LaneSums, Lanes, RATIO_MAX, RowTerms,
-    STOP, Sink, TileInput, TileWater, place,
+    ALPHA_MAX, BackwardTile, CELLS, CHANNELS, EntrySink, ForwardCell, ForwardTile, LaneSums, Lanes,
+    RATIO_MAX, RowTerms, STOP, TileInput, TileWater, place,
 };
 use crate::lists::TILE;
 use crate::project::{EntryGradient, LOG2_255, Splat, SplatGradient};
@@ -120,11 +120,11 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
     water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     let centre = &water.centre;
     for k in (0..input.list.len()).rev() {
-        let (span, splat) = input.entry(k);
+        let (at, splat) = input.entry(k);
         let decay = WATER.then(|| Decay::new(water, splat.z));
         let (kappa, inverse) = splat.conic_terms();
         let mut sums = LaneSums::zeros([0.0f32; TILE]);
@@ -203,7 +203,7 @@ pub(crate) fn backward<const WATER: bool, const EXTRAS: bool>(
                 lanes.iter_mut().for_each(|v| *v *= factor);
             }
         }
-        sink.put(span, finish(&sums));
+        sink.put(at, finish(&sums));
     }
 }
 
@@ -220,11 +220,11 @@ pub(crate) fn backward_colors<const WATER: bool>(
     input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     let mut forward = ForwardTile::new(input.filled_rows, input.filled_columns);
     for k in 0..input.list.len() {
-        let (span, splat) = input.entry(k);
+        let (at, splat) = input.entry(k);
         let decay = WATER.then(|| Decay::new(water, splat.z));
         let mut lanes = [[0.0f32; TILE]; 3];
         for r in 0..input.filled_rows {
@@ -254,7 +254,7 @@ pub(crate) fn backward_colors<const WATER: bool>(
         for (lanes, factor) in lanes.iter_mut().zip(factor) {
             lanes.iter_mut().for_each(|v| *v *= factor);
         }
-        sink.put(span, SplatGradient::of_color(std::array::from_fn(|c| sum(&lanes[c]))));
+        sink.put(at, SplatGradient::of_color(std::array::from_fn(|c| sum(&lanes[c]))));
     }
 }
 
@@ -315,10 +315,10 @@ pub(crate) fn splat_adjoint(
     input: &TileInput<'_>,
     maps: &[[Lanes; CHANNELS]; CELLS],
     forward: &mut ForwardTile,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     for k in 0..input.list.len() {
-        let (span, splat) = input.entry(k);
+        let (at, splat) = input.entry(k);
         let mut lanes = [[0.0f32; TILE]; CHANNELS];
         for r in 0..input.filled_rows {
             let terms = splat.row(input.rows[r]);
@@ -335,6 +335,6 @@ pub(crate) fn splat_adjoint(
         for c in 0..CHANNELS {
             sums[c] = sum(&lanes[c]);
         }
-        sink.put(span, sums);
+        sink.put(at, sums);
     }
 }

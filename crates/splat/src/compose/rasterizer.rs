@@ -138,10 +138,11 @@ impl Rasterizer {
         };
         let strips = (saved, (images, layers));
         for_each(0..prepared.rows.tiles(), strips, &|row, strips: ForwardStrips<'_>| match kernels {
-            Kernels::Plain => {
-                forward_row::<WATER>(prepared, medium, row, strips, plain::forward::<WATER, LAYERS>);
-            }
-            Kernels::Lanes(level) => dispatch!(level, simd => forward_row::<WATER>(
+            Kernels::Plain => dispatch!(Level::new(), simd => forward_row::<_, WATER>(
+                simd, prepared, medium, row, strips, plain::forward::<WATER, LAYERS>
+            )),
+            Kernels::Lanes(level) => dispatch!(level, simd => forward_row::<_, WATER>(
+                simd,
                 prepared,
                 medium,
                 row,
@@ -247,12 +248,18 @@ impl Rasterizer {
             &mut self.sums,
             planes,
             &|row, records, strips: MediumPlanes<'_>| match kernels {
-                Kernels::Plain => {
-                    backward_row::<WATER>(&read, row, records, strips, |input, water, tile, sink| {
+                Kernels::Plain => dispatch!(Level::new(), simd => backward_row::<_, WATER>(
+                    simd,
+                    &read,
+                    row,
+                    records,
+                    strips,
+                    |input, water, tile, sink| {
                         plain::backward::<WATER, EXTRAS>(input, water, tile, s_gradient, sink);
-                    });
-                }
-                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                    },
+                )),
+                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<_, WATER>(
+                    simd,
                     &read,
                     row,
                     records,
@@ -321,10 +328,11 @@ impl Rasterizer {
             &mut self.sums,
             planes,
             &|row, records, strips: MediumPlanes<'_>| match kernels {
-                Kernels::Plain => {
-                    backward_row::<WATER>(&read, row, records, strips, plain::backward_colors::<WATER>);
-                }
-                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<WATER>(
+                Kernels::Plain => dispatch!(Level::new(), simd => backward_row::<_, WATER>(
+                    simd, &read, row, records, strips, plain::backward_colors::<WATER>
+                )),
+                Kernels::Lanes(level) => dispatch!(level, simd => backward_row::<_, WATER>(
+                    simd,
                     &read,
                     row,
                     records,

@@ -1,5 +1,4 @@
-//! Sums the gradient records of (tile, Gaussian) entries for each Gaussian, in the order of tiles and
-//! without atomics.
+//! Sums the gradient records of spans for each Gaussian, in the order of tile rows and without atomics.
 
 use std::ops::Range;
 
@@ -27,16 +26,16 @@ fn add_chunk<const N: usize>(rows: &[TileRow], records: &[[f32; N]], base: u32, 
     let mut start = 0;
     for row in rows {
         let from = row.spans.partition_point(|s| s.rank < ranks.start);
-        for span in row.spans[from..].iter().take_while(|s| s.rank < ranks.end) {
-            let sum = &mut sums[(span.rank - base) as usize];
-            let first = start + span.start as usize;
-            for record in &records[first..first + span.count as usize] {
-                for (s, r) in sum.iter_mut().zip(record) {
-                    *s += r;
-                }
+        let records = &records[start..start + row.spans.len()];
+        for (span, record) in row.spans[from..].iter().zip(&records[from..]) {
+            if span.rank >= ranks.end {
+                break;
+            }
+            for (s, r) in sums[(span.rank - base) as usize].iter_mut().zip(record) {
+                *s += r;
             }
         }
-        start += row.entries.len();
+        start += row.spans.len();
     }
 }
 

@@ -1,5 +1,6 @@
 //! The data of one 16×16 tile while it is composed, and the water in front of it.
 
+use fearless_simd::{Simd, SimdBase, f32x16};
 use use3d_numerics::lanes::SMALL;
 
 use crate::lists::{Span, TILE};
@@ -43,11 +44,11 @@ pub(crate) struct TileInput<'a> {
 }
 
 impl<'a> TileInput<'a> {
-    /// The Gaussian of entry `k`, with its span.
+    /// The position of entry `k` among the spans, and its Gaussian.
     #[inline(always)]
-    pub(crate) fn entry(&self, k: usize) -> (&'a Span, &'a Splat) {
+    pub(crate) fn entry(&self, k: usize) -> (usize, &'a Splat) {
         let at = self.list[k] as usize;
-        (&self.spans[at], &self.splats[at])
+        (at, &self.splats[at])
     }
 }
 
@@ -88,26 +89,23 @@ pub(crate) struct TileWater {
 impl TileWater {
     /// Centres the exponents; on entry they are absolute. Padding repeats a pixel.
     #[inline(always)]
-    pub(crate) fn centre(&mut self) {
+    pub(crate) fn centre<S: Simd>(&mut self, simd: S) {
         let mut largest = 0.0f32;
         self.centre = [0.0; TILE];
         for q in 0..6 {
-            let (mut low, mut high) = ([f32::INFINITY; TILE], [f32::NEG_INFINITY; TILE]);
+            let (mut low, mut high) =
+                (f32x16::splat(simd, f32::INFINITY), f32x16::splat(simd, f32::NEG_INFINITY));
             for cell in &self.cells {
-                let lanes = cell.quantity(q);
-                for l in 0..TILE {
-                    low[l] = if lanes[l] < low[l] { lanes[l] } else { low[l] };
-                    high[l] = if lanes[l] > high[l] { lanes[l] } else { high[l] };
-                }
+                let lanes = f32x16::load_array_ref(simd, cell.quantity(q));
+                (low, high) = (low.min(lanes), high.max(lanes));
             }
-            let low = low.into_iter().fold(f32::INFINITY, f32::min);
-            let high = high.into_iter().fold(f32::NEG_INFINITY, f32::max);
+            let low = low.to_array().into_iter().fold(f32::INFINITY, f32::min);
+            let high = high.to_array().into_iter().fold(f32::NEG_INFINITY, f32::max);
             let centre = 0.5 * low + 0.5 * high;
             self.centre[q] = centre;
             for cell in &mut self.cells {
-                for v in cell.quantity_mut(q) {
-                    *v -= centre;
-                }
+                let lanes = f32x16::load_array_ref(simd, cell.quantity(q));
+                (lanes - f32x16::splat(simd, centre)).store_array(cell.quantity_mut(q));
             }
             largest = largest.max((high - centre).max(centre - low));
         }
@@ -236,20 +234,29 @@ impl BackwardTile {
     pub(crate) const ZERO: Self = Self { cells: [BackwardCell::ZERO; CELLS] };
 }
 
-/// The place for one tile's records: each lies beside the others of its Gaussian's span.
-pub(crate) struct Sink<'a> {
-    pub(crate) records: &'a mut [EntryGradient],
+/// The place for the records of a tile row: one for each span, to which all its tiles are added.
+pub(crate) struct Sink<'a, const N: usize> {
+    pub(crate) spans: &'a [Span],
+    pub(crate) records: &'a mut [[f32; N]],
     /// The tile's column.
     pub(crate) column: u32,
 }
 
-impl Sink<'_> {
-    /// Stores the record of an entry.
+impl<const N: usize> Sink<'_, N> {
+    /// Adds the record of the entry at a position among the spans. The span's first tile comes first, and
+    /// replaces what was there.
     #[inline(always)]
-    pub(crate) fn put(&mut self, span: &Span, record: EntryGradient) {
-        self.records[(span.start + (self.column - span.first)) as usize] = record;
+    pub(crate) fn put(&mut self, at: usize, record: [f32; N]) {
+        let out = &mut self.records[at];
+        let before = if self.spans[at].first == self.column { [0.0; N] } else { *out };
+        for (out, (before, record)) in out.iter_mut().zip(before.iter().zip(record)) {
+            *out = before + record;
+        }
     }
 }
+
+/// The records of (tile, Gaussian) entries.
+pub(crate) type EntrySink<'a> = Sink<'a, { size_of::<EntryGradient>() / size_of::<f32>() }>;
 
 /// Number of channels that the linear splat and its adjoint compute at once.
 pub(crate) const CHANNELS: usize = 8;

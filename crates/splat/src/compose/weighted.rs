@@ -28,7 +28,7 @@ use super::outputs::{ImagePlanes, MediumPlanes, image_planes, medium_planes};
 use super::pixels::{each, get, put, ray_lengths};
 use super::plain;
 use super::strips::for_each;
-use super::tile::{ForwardTile, Lanes, place};
+use super::tile::{ForwardTile, Lanes, Sink, place};
 use crate::lists::{Prepared, RowWeights, TILE};
 use crate::project::LOG2_255;
 use crate::view::Rendered;
@@ -68,7 +68,7 @@ impl Weighted {
             return;
         }
         self.colored = stamps;
-        let colors = Records::of(&mut self.colors, prepared);
+        let colors = Records::per_entry(&mut self.colors, prepared);
         for_each(0..prepared.rows.tiles(), colors, &|row, colors: Records<'_, 4>| {
             let row = &prepared.tile_rows[row];
             for (out, &span) in colors.records.iter_mut().zip(&row.entries) {
@@ -87,7 +87,7 @@ impl Weighted {
         out: &mut Rendered,
     ) {
         self.load_colors(prepared);
-        let colors = Records::of(&mut self.colors, prepared);
+        let colors = Records::per_entry(&mut self.colors, prepared);
         let images = image_planes(&mut out.image, &mut out.depth, &mut out.accumulation);
         for_each(0..prepared.rows.tiles(), (colors, images), &|row, strips| {
             dispatch!(level, simd => forward_row::<_, WATER>(simd, prepared, medium, row, strips));
@@ -105,7 +105,7 @@ impl Weighted {
     ) {
         self.load_colors(prepared);
         let Self { colors, sums, records, d_colors, .. } = self;
-        let scratch = (Records::of(colors, prepared), Records::of(sums, prepared));
+        let scratch = (Records::per_entry(colors, prepared), Records::per_entry(sums, prepared));
         let strips = (scratch, medium_planes(d_medium, prepared));
         in_groups(prepared, records, d_colors, strips, &|row, records: &mut [Channels], strips| {
             dispatch!(level, simd => backward_row::<_, WATER>(
@@ -313,7 +313,7 @@ fn forward_row<S: Simd, const WATER: bool>(
 /// gradient.
 type Backward<'a> = ((Records<'a, 4>, Records<'a, 4>), MediumPlanes<'a>);
 
-/// Differentiates a tile row, and writes one record per entry.
+/// Differentiates a tile row, and writes one record per span.
 #[inline(always)]
 fn backward_row<S: Simd, const WATER: bool>(
     simd: S,
@@ -387,9 +387,9 @@ fn backward_row<S: Simd, const WATER: bool>(
                 }
             }
         }
+        let mut sink = Sink { spans: &tile_row.spans, records: &mut *records, column: column as u32 };
         for (&span, &sum) in tile_row.list(column).iter().zip(&*sums) {
-            let span = &tile_row.spans[span as usize];
-            records[(span.start + column as u32 - span.first) as usize] = sum;
+            sink.put(span as usize, sum);
         }
     }
 }

@@ -11,7 +11,7 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::sums::finish;
 use super::{accumulate, load, select};
 use crate::compose::tile::{
-    ALPHA_MAX, BackwardTile, CELLS, LaneSums, NEVER, RATIO_MAX, Sink, TileInput, TileWater,
+    ALPHA_MAX, BackwardTile, CELLS, EntrySink, LaneSums, NEVER, RATIO_MAX, TileInput, TileWater,
 };
 use crate::project::LOG2_255;
 
@@ -23,7 +23,7 @@ pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     water: &TileWater,
     tile: &mut BackwardTile,
     s_gradient: f32,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     // A cell takes part only in entries before the farthest stop of its pixels.
     let mut stops = [0; CELLS];
@@ -42,7 +42,7 @@ struct Backward<'a, 'b, S: Simd, const WATER: bool, const EXTRAS: bool> {
     water: &'a TileWater,
     tile: &'a mut BackwardTile,
     s_gradient: f32,
-    sink: &'a mut Sink<'b>,
+    sink: &'a mut EntrySink<'b>,
     /// The farthest stop of each cell.
     stops: i32x16<S>,
     /// The weights `w`.
@@ -98,7 +98,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Backward<'_, '_, S, WATER, 
     fn sums<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
         for e in 0..batch.len() {
-            let (span, splat) = batch.entries[e];
+            let (at, splat) = batch.entries[e];
             let (kappa, inverse) = splat.conic_terms();
             let (kappa, inverse) = (c(kappa), c(inverse));
             let mut sums = LaneSums::zeros(c(0.0));
@@ -128,7 +128,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Backward<'_, '_, S, WATER, 
                     sums.color[q] *= c(decay.factor(q, e));
                 }
             }
-            self.sink.put(span, finish(sums));
+            self.sink.put(at, finish(sums));
         }
     }
 }

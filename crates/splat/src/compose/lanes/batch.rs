@@ -16,7 +16,7 @@ use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16};
 
 use super::load;
 use crate::compose::tile::{CELL, CELLS, Lanes, TileInput};
-use crate::lists::{Span, TILE};
+use crate::lists::TILE;
 use crate::project::{LOG2_255, Splat};
 
 /// Most entries of a batch.
@@ -76,9 +76,9 @@ pub(super) struct Batch<'a, S: Simd> {
     log2_opacity: Lanes,
     pub(super) z: Lanes,
     pub(super) color: [Lanes; 3],
-    /// Positions in the tile's list, and the entries there.
+    /// Positions in the tile's list, and the entries there: positions among the spans, and Gaussians.
     pub(super) places: [i32; ENTRIES],
-    pub(super) entries: [(&'a Span, &'a Splat); ENTRIES],
+    pub(super) entries: [(usize, &'a Splat); ENTRIES],
     /// Number of entries.
     count: usize,
     /// The cell and the entry of each item. Eight more items may be written than are counted.
@@ -98,7 +98,7 @@ pub(super) struct Item {
 
 impl<'a, S: Simd> Batch<'a, S> {
     #[inline(always)]
-    fn new(simd: S, input: &TileInput<'a>, first: (&'a Span, &'a Splat)) -> Self {
+    fn new(simd: S, input: &TileInput<'a>, first: (usize, &'a Splat)) -> Self {
         let zero = [0.0; TILE];
         Self {
             centres: Centres::of(simd, input),
@@ -126,7 +126,7 @@ impl<'a, S: Simd> Batch<'a, S> {
 
     /// Adds the entry at `place`, which meets these cells.
     #[inline(always)]
-    fn push(&mut self, place: usize, (span, splat): (&'a Span, &'a Splat), met: u32) {
+    fn push(&mut self, place: usize, (at, splat): (usize, &'a Splat), met: u32) {
         let e = self.count & (ENTRIES - 1);
         (self.x[e], self.y[e], self.z[e]) = (splat.x, splat.y, splat.z);
         (self.shear[e], self.log2_opacity[e]) = (splat.shear, splat.log2_opacity);
@@ -134,7 +134,7 @@ impl<'a, S: Simd> Batch<'a, S> {
         for (lanes, value) in self.color.iter_mut().zip(splat.color) {
             lanes[e] = value;
         }
-        (self.places[e], self.entries[e]) = (place as i32, (span, splat));
+        (self.places[e], self.entries[e]) = (place as i32, (at, splat));
         // Without a branch: eight cells are written for each half of the mask, and those it has are counted.
         let mut end = self.starts[e];
         for half in 0..2 {

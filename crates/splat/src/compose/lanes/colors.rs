@@ -7,7 +7,7 @@ use super::decay::{Attenuate, ThroughWater, through};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{BackwardTile, ForwardTile, Sink, TileInput, TileWater};
+use crate::compose::tile::{BackwardTile, EntrySink, ForwardTile, TileInput, TileWater};
 use crate::project::SplatGradient;
 
 /// See [`plain::backward_colors`](crate::compose::plain::backward_colors).
@@ -17,7 +17,7 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     input: &TileInput<'_>,
     water: &TileWater,
     tile: &mut BackwardTile,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
     let (front, colors) = (Front::new(input, &mut state), [Items::ZERO; 3]);
@@ -29,7 +29,7 @@ struct ColorsBackward<'a, 'b, const WATER: bool> {
     water: &'a TileWater,
     front: Front<'a>,
     tile: &'a mut BackwardTile,
-    sink: &'a mut Sink<'b>,
+    sink: &'a mut EntrySink<'b>,
     /// `w colors` is `∂L/∂c`.
     colors: [Items; 3],
 }

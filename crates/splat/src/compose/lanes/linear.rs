@@ -6,7 +6,7 @@ use super::batch::{Batch, ENTRIES, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
-use crate::compose::tile::{CELLS, CHANNELS, ForwardTile, Lanes, Sink, TileInput};
+use crate::compose::tile::{CELLS, CHANNELS, EntrySink, ForwardTile, Lanes, TileInput};
 use crate::project::EntryGradient;
 
 /// See [`plain::splat`](crate::compose::plain::splat); the first `C` channels.
@@ -59,7 +59,7 @@ pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     input: &TileInput<'_>,
     maps: &[[Lanes; CHANNELS]; CELLS],
     forward: &mut ForwardTile,
-    sink: &mut Sink<'_>,
+    sink: &mut EntrySink<'_>,
 ) {
     let mut pass = Adjoint::<C> { maps, front: Front::new(input, forward), sink };
     walk::<_, false, _>(simd, input, &mut pass);
@@ -68,7 +68,7 @@ pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
 struct Adjoint<'a, 'b, const C: usize> {
     maps: &'a [[Lanes; CHANNELS]; CELLS],
     front: Front<'a>,
-    sink: &'a mut Sink<'b>,
+    sink: &'a mut EntrySink<'b>,
 }
 
 impl<S: Simd, const C: usize> Pass<S> for Adjoint<'_, '_, C> {
