@@ -114,6 +114,7 @@ fn run(app: &App, verb: Verb) -> Done {
         Verb::Synth { what: Synth::Capture(args) } => verbs::synth::capture(app, &args),
         Verb::Synth { what: Synth::Pairs(args) } => verbs::synth::pairs(app, &args),
         Verb::Bench { what: Bench::Truth(args) } => verbs::bench::truth(app, &args),
+        Verb::Bench { what: Bench::Scene(args) } => verbs::bench_scene::run(app, &args),
         Verb::Bench { what: Bench::Gpu(args) } => verbs::bench_gpu::gpu(app, &args),
         Verb::Check(args) => verbs::check::run(app, &args),
         Verb::Water(args) => verbs::water::run(app, &args),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueEnum};
 
 use super::pipelines::MAX_JOBS;
-use super::shared::{CacheArgs, CalibrationArgs, Replace, Settings, count};
+use super::shared::{CacheArgs, CalibrationArgs, Replace, Settings, SizeArgs, StageSettings, count};
 
 /// More photographs than a capture of synthetic views ever needs.
 const MAX_VIEWS: u64 = 10_000;
@@ -20,11 +20,39 @@ pub(crate) enum Bench {
         Interrupted, the same command goes on from there; a second call computes nothing. docs/science/results.md explains the table."
     )]
     Truth(BenchTruthArgs),
+    /// Measure a training step on a trained scene: pairs of pixel and Gaussian, time of each part, and the
+    /// share of the machine's limit.
+    #[command(
+        after_help = "Examples:\n  use3d bench scene                                     a made scene that is like a trained one\n  use3d bench scene use3d-out/reef reef/ --max-side 640 --threads 1"
+    )]
+    Scene(BenchSceneArgs),
     /// Measure a graphics card into one file: limits, agreement with the processor, same bits, times.
     #[command(
         after_help = "Examples:\n  use3d bench gpu --out card.json\n  use3d bench gpu --read card.json                      what the file says, in words\n  use3d bench gpu --kernels kernels/                    the texts of all kernels\n  use3d bench gpu --out software.json --device llvmpipe --sizes 96x64 --rounds 2 --gaussians 2000 --steps 20"
     )]
     Gpu(BenchGpuArgs),
+}
+
+#[derive(Debug, Args)]
+pub(crate) struct BenchSceneArgs {
+    /// A trained scene, or the folder with its results (default: a made scene with such statistics).
+    #[arg(requires = "capture")]
+    pub(crate) scene: Option<PathBuf>,
+    /// The capture from which it was trained.
+    pub(crate) capture: Option<PathBuf>,
+    /// Number of training views.
+    #[arg(long, default_value_t = 6, value_name = "N", value_parser = count(MAX_VIEWS))]
+    pub(crate) views: usize,
+    /// Steps a view; the fastest counts.
+    #[arg(long, default_value_t = 5, value_name = "N", value_parser = count(10_000))]
+    pub(crate) rounds: usize,
+    /// One JSON document on stdout.
+    #[arg(long)]
+    pub(crate) json: bool,
+    #[command(flatten)]
+    pub(crate) size: SizeArgs,
+    #[command(flatten)]
+    pub(crate) settings: StageSettings,
 }
 
 #[derive(Debug, Args)]

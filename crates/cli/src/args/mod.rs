@@ -20,7 +20,7 @@ mod white;
 
 use clap::{ArgMatches, CommandFactory, FromArgMatches, Parser, Subcommand};
 
-pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchTruthArgs};
+pub(crate) use bench::{Baselines, Bench, BenchGpuArgs, BenchSceneArgs, BenchTruthArgs};
 pub(crate) use captures::{Synth, SynthCaptureArgs, SynthPairsArgs, WaterArgs};
 pub(crate) use check::CheckArgs;
 pub(crate) use cluster::{CancelArgs, Submit, SubmitArgs, SubmitLayout};

@@ -2,6 +2,7 @@
 
 pub(crate) mod bench;
 pub(crate) mod bench_gpu;
+pub(crate) mod bench_scene;
 pub(crate) mod by_hand;
 pub(crate) mod cache;
 pub(crate) mod check;
