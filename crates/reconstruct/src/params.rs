@@ -239,7 +239,8 @@ pub struct ReconstructParams {
     /// Share of the run after which the active degree grows by one, repeatedly.
     pub sh_every: f64,
     /// Image divisors (1 to 1024), each with the share of the run from which it holds (R11); the first
-    /// starts at 0.
+    /// starts at 0. Empty: half size, then full size from a share that grows with the photographs, which is
+    /// 0.3 at 320×180 pixels, 0.4 at 640×360, and 0.5 at 1280×720.
     pub resolution_schedule: Vec<(f64, usize)>,
     /// Opacity of the initial Gaussians.
     pub initial_opacity: f64,
@@ -315,7 +316,7 @@ impl Default for ReconstructParams {
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
-            resolution_schedule: vec![(0.0, 2), (0.2, 1)],
+            resolution_schedule: Vec::new(),
             initial_opacity: 0.1,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
@@ -393,7 +394,7 @@ impl ReconstructParams {
         self.turns.validate()?;
         positive("sh_every", self.sh_every)?;
         let schedule = &self.resolution_schedule;
-        let starts_at_zero = schedule.first().is_some_and(|s| s.0 == 0.0);
+        let starts_at_zero = schedule.first().is_none_or(|s| s.0 == 0.0);
         let ascends = schedule.windows(2).all(|w| w[0].0 < w[1].0);
         let divisors = 1..=MOST_DIVISOR;
         if !starts_at_zero
@@ -401,7 +402,7 @@ impl ReconstructParams {
             || schedule.iter().any(|s| !divisors.contains(&s.1) || !(0.0..=1.0).contains(&s.0))
         {
             let expected = format!(
-                "pairs of (share of the run, divisor), the first at 0, ascending, divisors from 1 to {MOST_DIVISOR}"
+                "pairs of (share of the run, divisor), the first at 0, ascending, divisors from 1 to {MOST_DIVISOR}, or none"
             );
             return Err(OutOfRange::new("resolution_schedule", format!("{schedule:?}"), expected));
         }
@@ -442,10 +443,24 @@ impl ReconstructParams {
         self.iterations.min(self.schedule)
     }
 
-    /// The image divisor at `step`.
+    /// These parameters for photographs of `pixels` pixels each: sets a resolution schedule that is empty.
+    #[must_use]
+    pub fn sized(&self, pixels: f64) -> Self {
+        let mut sized = self.clone();
+        if sized.resolution_schedule.is_empty() {
+            sized.resolution_schedule = by_size(pixels).to_vec();
+        }
+        sized
+    }
+
+    /// The image divisor at `step`; by the rule for 640×360 pixels if it depends on the photographs.
     pub fn divisor(&self, step: u64) -> usize {
-        let reached =
-            self.resolution_schedule.iter().rev().find(|s| step as f64 >= s.0 * self.course() as f64);
+        let rule = by_size(MIDDLE);
+        let schedule = match &self.resolution_schedule[..] {
+            [] => &rule[..],
+            given => given,
+        };
+        let reached = schedule.iter().rev().find(|s| step as f64 >= s.0 * self.course() as f64);
         reached.map_or(1, |s| s.1)
     }
 
@@ -500,6 +515,14 @@ impl ReconstructParams {
     }
 }
 
+/// Pixels of a photograph of the middle size, 640×360.
+const MIDDLE: f64 = 230_400.0;
+
+/// Half size, then full size: the larger the photographs are, the longer half size shows all that is learnt.
+fn by_size(pixels: f64) -> [(f64, usize); 2] {
+    [(0.0, 2), ((0.4 + 0.05 * math::log2(pixels.max(1.0) / MIDDLE)).clamp(0.2, 0.6), 1)]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -527,10 +550,16 @@ mod tests {
     }
 
     #[test]
-    fn a_default_run_sees_the_full_size_after_a_fifth() {
+    fn a_default_run_sees_the_full_size_later_on_larger_photographs() {
         let p = ReconstructParams::default();
         p.validate().unwrap();
-        assert_eq!([0, 599, 600, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
+        assert_eq!([0, 1199, 1200, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
+        for (width, height, from) in [(80, 45, 600), (320, 180, 900), (640, 360, 1200), (1280, 720, 1500)] {
+            let sized = p.sized((width * height) as f64);
+            assert_eq!([0, from - 1, from].map(|s| sized.divisor(s)), [2, 2, 1], "{width}");
+        }
+        let given = ReconstructParams { resolution_schedule: vec![(0.0, 1)], ..p.clone() };
+        assert_eq!(given.sized(1e6), given);
         assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
     }
 
@@ -554,8 +583,8 @@ mod tests {
             p.validate().unwrap_err().to_string()
         };
         assert!(wrong(|p| p.top_k = 9).contains("top_k"));
-        assert!(wrong(|p| p.resolution_schedule[0].1 = 1025).contains("1 to 1024"));
-        assert!(wrong(|p| p.resolution_schedule.clear()).contains("resolution_schedule"));
+        assert!(wrong(|p| p.resolution_schedule = vec![(0.0, 1025)]).contains("1 to 1024"));
+        assert!(wrong(|p| p.resolution_schedule = vec![(0.1, 1)]).contains("resolution_schedule"));
         assert!(wrong(|p| p.learning_rates.means.1 = f64::NAN).contains("means[1]"));
         assert!(wrong(|p| p.densify.opacity_ceiling = 1.0).contains("opacity_ceiling"));
         assert!(wrong(|p| p.iterations = 0).contains("iterations"));

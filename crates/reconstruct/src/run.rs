@@ -119,6 +119,9 @@ pub fn reconstruct(
     if let [only] = capture.split.train[..] {
         return Err(ReconstructError::OneView { view: capture.views[only].name.to_string() });
     }
+    let sizes = capture.training_views().map(|view| &view.camera.intrinsics);
+    let pixels: usize = sizes.map(|k| k.width * k.height).sum();
+    let params = &params.sized(pixels as f64 / capture.split.train.len().max(1) as f64);
     let most = most_gaussians(capture, params);
     let start = known.water.as_ref().and_then(|found| Some((found, found.model(params)?)));
     let found = start.as_ref().map(|(found, _)| *found);

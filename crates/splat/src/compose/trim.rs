@@ -22,8 +22,9 @@ const MARGIN: f32 = 1e-3;
 
 impl Rasterizer {
     /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images stay the
-    /// same to the bit, and gradients up to the order of their sums. A view of at most 16384 pixels also keeps its weights, which
-    /// makes composing and [`Rasterizer::backward_colors`] faster and changes the last bits.
+    /// same to the bit, and gradients up to the order of their sums. A view of at most 16384 pixels also keeps
+    /// its weights, which makes composing and [`Rasterizer::backward_colors`] faster and changes the last
+    /// bits.
     pub fn trim(&mut self, prepared: &mut Prepared) {
         let stop = self.stops(prepared);
         let view = &*prepared;
