@@ -60,9 +60,9 @@ pub(crate) fn run(app: &App, args: &BenchSceneArgs) -> Done {
 
 fn print(Measured { limit, scene }: &Measured) {
     println!(
-        "limit of one thread ({}): {:.0} GFLOP/s; compositor forward and backward where every pixel is met: \
-         {:.2} ns a pair in water, {:.2} ns without",
-        limit.instructions, limit.gflops, limit.water, limit.dry
+        "limit of one thread ({}): the compositor takes {:.2} ns a pair in water, {:.2} ns without, where every \
+         Gaussian covers every pixel",
+        limit.instructions, limit.water, limit.dry
     );
     println!(
         "{}: {} Gaussians, {} views, {} threads\na pixel: {:.1} contributing pairs, {:.1} tested ({:.0} % live), \

@@ -1,9 +1,9 @@
-//! The most that this machine can do in one thread: fused multiply-adds in registers, and the compositor on
-//! Gaussians that cover every pixel of a small image, all in the first-level cache.
+//! The most that the compositor can do on this machine in one thread: Gaussians that cover every pixel of a
+//! small image, all in the first-level cache.
 
 use std::time::Instant;
 
-use fearless_simd::{Level, Simd, SimdBase, SimdFloat, dispatch, f32x16};
+use fearless_simd::Level;
 use serde::Serialize;
 use use3d_capture::{Camera, Image, Intrinsics, Lattice, MediumMaps, Pose};
 use use3d_numerics::math;
@@ -12,14 +12,12 @@ use use3d_splat::{
     Rendered, ViewOf,
 };
 
-/// The limits of one thread.
+/// The limits of one thread, in nanoseconds a pair of pixel and Gaussian, forward and backward.
 #[derive(Clone, Debug, Serialize)]
 pub struct Limit {
     /// The instruction set.
     pub instructions: String,
-    /// 10⁹ floating-point operations a second, as fused multiply-adds.
-    pub gflops: f64,
-    /// Nanoseconds a pair of pixel and Gaussian in the dense scene, forward and backward: in water.
+    /// In water.
     pub water: f64,
     /// Without water.
     pub dry: f64,
@@ -31,31 +29,8 @@ impl Limit {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().ok()?;
         let instructions = format!("{:?}", Level::new());
         let instructions = instructions.split('(').next().unwrap_or_default().to_string();
-        pool.install(|| {
-            let gflops = (0..5).map(|_| multiply_adds()).fold(0.0, f64::max);
-            Some(Self { instructions, gflops, water: dense(true)?, dry: dense(false)? })
-        })
+        pool.install(|| Some(Self { instructions, water: dense(true)?, dry: dense(false)? }))
     }
-}
-
-/// GFLOP/s of independent fused multiply-adds in registers.
-fn multiply_adds() -> f64 {
-    #[inline(always)]
-    fn run<S: Simd>(simd: S, rounds: usize) -> f32 {
-        let (a, b) = (f32x16::splat(simd, 0.999_999), f32x16::splat(simd, 1e-7));
-        let mut x: [f32x16<S>; 10] = std::array::from_fn(|i| f32x16::splat(simd, i as f32));
-        for _ in 0..rounds {
-            for x in &mut x {
-                *x = x.mul_add(a, b);
-            }
-        }
-        x.iter().map(|x| x.to_array().iter().sum::<f32>()).sum()
-    }
-    let rounds = 2_000_000;
-    let start = Instant::now();
-    let sum = dispatch!(Level::new(), simd => run(simd, std::hint::black_box(rounds)));
-    std::hint::black_box(sum);
-    rounds as f64 * 10.0 * 32.0 / start.elapsed().as_secs_f64() * 1e-9
 }
 
 /// Nanoseconds a pair where every pair contributes: 128 Gaussians that cover 128×128 pixels.

@@ -23,7 +23,7 @@ pub(super) fn made(
     let camera = Camera { intrinsics, pose: Pose::IDENTITY };
     // A pixel and a bit in a scene of 122,000 Gaussians at 640×360, and so that as many lie on every pixel in
     // others.
-    let pixels = 0.62 * (w * h / 230_400.0 * 122_000.0 / count.max(1) as f64).sqrt();
+    let pixels = 0.66 * (w * h / 230_400.0 * 122_000.0 / count.max(1) as f64).sqrt();
     let mut gaussians = Gaussians::empty(3);
     for i in 0..count as u64 {
         let z = |k: u64| stream.normal(i * 128 + k);

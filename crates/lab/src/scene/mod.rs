@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn a_made_scene_has_the_counts_of_a_trained_one() {
-        let limit = Limit { instructions: String::new(), gflops: 1.0, water: 1.0, dry: 1.0 };
+        let limit = Limit { instructions: String::new(), water: 1.0, dry: 1.0 };
         let record = measure(&Subject::made(6_100, (160, 72)).unwrap(), 1, &limit).unwrap();
         // A trained scene of 122,000 Gaussians at 640×360 has 32 contributing pairs a pixel, 45 % of those
         // tested, and one entry a pixel.
