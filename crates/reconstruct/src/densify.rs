@@ -20,6 +20,17 @@ pub enum Strategy {
     Signed,
 }
 
+/// The places of the two children of a split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Split {
+    /// Both are drawn from the parent, and smaller than it by `shrink`.
+    #[default]
+    Drawn,
+    /// They stand on both sides of the parent's centre on its longest axis, shorter and fainter than it.
+    LongAxis,
+}
+
 /// The rules by which Gaussians are added and removed (R9).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -56,7 +67,9 @@ pub struct Densify {
     pub size_exponent: f64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
-    /// Factor by which the children of a split are smaller.
+    /// The places of the two children of a split.
+    pub split: Split,
+    /// Factor by which drawn children of a split are smaller.
     pub shrink: f64,
     /// Gaussians below this opacity are removed while densifying.
     pub cull_opacity: f64,
@@ -102,6 +115,7 @@ impl Default for Densify {
             reference_pixels: 1400 * 933,
             size_exponent: 0.2,
             split_scale: 1e-3,
+            split: Split::Drawn,
             shrink: 1.3,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,

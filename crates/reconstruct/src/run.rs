@@ -521,8 +521,7 @@ impl ReconstructRun<'_> {
         let rows = self.masks.shown(&self.engine.save()?.gaussians, self.params.hidden_below);
         let removed = self.gaussians - rows.len();
         if removed > 0 && !rows.is_empty() {
-            let draws = Draws { seed: self.params.seed, step: self.step, shrink: self.params.densify.shrink };
-            self.engine.rebuild(&rows, &draws)?;
+            self.engine.rebuild(&rows, &self.draws())?;
             self.gaussians = rows.len();
             observer.notice(&format!(
                 "removed {removed} Gaussians that masks hide from all training views (`hidden_below`)"
@@ -543,12 +542,18 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
+    /// The rule for children after this step.
+    fn draws(&self) -> Draws {
+        let d = &self.params.densify;
+        Draws { split: d.split, seed: self.params.seed, step: self.step, shrink: d.shrink }
+    }
+
     /// Adds and removes Gaussians.
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
-        let (params, d) = (self.params, &self.params.densify);
+        let (params, d, draws) = (self.params, &self.params.densify, self.draws());
         let settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
         let (rows, report) = density::plan(&self.engine.survey()?, &settings);
-        self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
+        self.engine.rebuild(&rows, &draws)?;
         self.gaussians = rows.len();
         if d.reset_medium && growing {
             self.engine.forget_water_moments()?;

@@ -23,7 +23,7 @@ mod rebuild;
 mod schedule;
 
 pub(crate) use noise::scatter;
-pub use rebuild::{Draws, Origin, rebuilt};
+pub use rebuild::{Child, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
 
 use use3d_numerics::math;
@@ -165,6 +165,7 @@ pub fn logit(p: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Split;
     use crate::engine::zeros;
 
     const SETTINGS: RefineSettings = RefineSettings {
@@ -179,7 +180,7 @@ mod tests {
         floor: 2,
         most: 1000,
     };
-    const DRAWS: Draws = Draws { seed: 1, step: 700, shrink: 1.6 };
+    const DRAWS: Draws = Draws { split: Split::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
     /// Gaussians from rows of (opacity logit, standard deviation, mean screen gradient).
     fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Survey) {
@@ -284,6 +285,32 @@ mod tests {
         assert_eq!((report.split, report.duplicated), (1, 1));
         let (rows, _) = plan(&s, &RefineSettings { split_threshold: Some(5.1e-4), ..settings });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2), Kept(3), Twin(2)]);
+    }
+
+    #[test]
+    fn children_on_the_long_axis_end_where_their_parent_ends() {
+        let (mut g, s) = scene(&[(2.0, 0.1, 1.0)]);
+        // The long axis is the second one; a quarter turn about z lays it along −x.
+        g.log_scales[0] = [math::ln(0.02f32), math::ln(0.1f32), math::ln(0.03f32)];
+        g.quaternions[0] = [1.0, 0.0, 0.0, 1.0];
+        let (rows, _) = plan(&s, &RefineSettings { floor: 0, ..SETTINGS });
+        let children = rebuilt(&g, &rows, &Draws { split: Split::LongAxis, ..DRAWS });
+        assert_eq!(children.len(), 2);
+        for (i, side) in [(0, 1.0f32), (1, -1.0)] {
+            let [x, y, z] = children.means[i];
+            let scales = children.log_scales[i].map(math::exp);
+            assert!(
+                (x - side * 0.135).abs() < 1e-6 && y.abs() < 1e-6 && z.abs() < 1e-6,
+                "{:?}",
+                children.means
+            );
+            // Three standard deviations of the child end at three of the parent: 0.3.
+            assert!((x.abs() + 3.0 * scales[1] - 0.3).abs() < 1e-6, "{scales:?}");
+            let section = (1.0f32 - 0.45 * 0.45).sqrt();
+            assert!((scales[0] - 0.02 * section).abs() < 1e-7 && (scales[2] - 0.03 * section).abs() < 1e-7);
+            let opacity = |logit: f32| 1.0 / (1.0 + math::exp(-logit));
+            assert!((opacity(children.opacity_logits[i]) - 0.6 * opacity(2.0)).abs() < 1e-6);
+        }
     }
 
     #[test]
