@@ -71,6 +71,10 @@ pub struct Densify {
     pub split: Split,
     /// Factor by which drawn children of a split are smaller.
     pub shrink: f64,
+    /// Number of Gaussians at the end of growth, which follows the square root of the time until then. The
+    /// first candidates in their order are split or duplicated, whatever the thresholds. 0: the thresholds
+    /// decide on the number.
+    pub budget: usize,
     /// Gaussians below this opacity are removed while densifying.
     pub cull_opacity: f64,
     /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
@@ -117,6 +121,7 @@ impl Default for Densify {
             split_scale: 1e-3,
             split: Split::Drawn,
             shrink: 1.3,
+            budget: 0,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
             gentle_below: 2000,

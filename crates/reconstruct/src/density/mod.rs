@@ -77,6 +77,8 @@ pub struct RefineSettings {
     pub floor: usize,
     /// Growth leaves at most this many Gaussians.
     pub most: usize,
+    /// The number of Gaussians to which a scene grows, whatever the thresholds.
+    pub budget: Option<usize>,
 }
 
 /// The result of a refinement.
@@ -132,14 +134,20 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
 
     let mut grow = vec![false; n];
     if settings.grow {
-        let mut pulled: Vec<usize> = (0..n).filter(|&i| keep[i] && pulled(i)).collect();
-        let room = settings.most.saturating_sub(survivors);
-        if pulled.len() > room {
-            report.held_back = pulled.len() - room;
-            pulled.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
-            pulled.truncate(room);
+        let wanted = match settings.budget {
+            Some(budget) => budget.saturating_sub(survivors),
+            None => (0..n).filter(|&i| keep[i] && pulled(i)).count(),
+        };
+        let least = if settings.budget.is_some() { 0.0 } else { settings.gradient_threshold };
+        let candidate = |i: usize| keep[i] && pull(i) > least;
+        let mut chosen: Vec<usize> = (0..n).filter(|&i| candidate(i)).collect();
+        let (wanted, room) = (wanted.min(chosen.len()), settings.most.saturating_sub(survivors));
+        report.held_back = wanted.saturating_sub(room);
+        if chosen.len() > wanted.min(room) {
+            chosen.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
+            chosen.truncate(wanted.min(room));
         }
-        for i in pulled {
+        for i in chosen {
             grow[i] = true;
         }
     }
@@ -179,6 +187,7 @@ mod tests {
         after_growth: None,
         floor: 2,
         most: 1000,
+        budget: None,
     };
     const DRAWS: Draws = Draws { split: Split::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
@@ -285,6 +294,21 @@ mod tests {
         assert_eq!((report.split, report.duplicated), (1, 1));
         let (rows, _) = plan(&s, &RefineSettings { split_threshold: Some(5.1e-4), ..settings });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2), Kept(3), Twin(2)]);
+    }
+
+    #[test]
+    fn a_budget_takes_the_first_candidates_whatever_the_threshold() {
+        use Origin::*;
+        let (_, s) = scene(&[(2.0, 1e-4, 1e-5), (2.0, 1e-4, 3e-5), (2.0, 1e-4, 2e-5), (2.0, 1e-4, 0.0)]);
+        let to = |budget| RefineSettings { budget: Some(budget), ..SETTINGS };
+        let born = |s: &Survey, settings: &RefineSettings| -> Vec<Origin> {
+            plan(s, settings).0.into_iter().filter(|row| !matches!(row, Kept(_))).collect()
+        };
+        assert_eq!(born(&s, &to(6)), [Twin(1), Twin(2)]);
+        assert_eq!(born(&s, &to(3)), []);
+        assert_eq!(born(&s, &to(90)), [Twin(0), Twin(1), Twin(2)], "the last one was not seen");
+        let (rows, report) = plan(&s, &RefineSettings { most: 5, ..to(6) });
+        assert_eq!((rows.len(), report.held_back), (5, 1));
     }
 
     #[test]
