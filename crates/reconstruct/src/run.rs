@@ -424,6 +424,9 @@ impl ReconstructRun<'_> {
         let params = self.params;
         let (mut rates, gain_rate) = params.rates(&self.phases, step);
         rates.means *= self.unit;
+        if params.selects(step, self.gaussians) {
+            rates.opacity *= params.densify.selection_rate;
+        }
         StepPlan {
             step,
             moves,
@@ -466,8 +469,8 @@ impl ReconstructRun<'_> {
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let work = self.params.density_work(self.step, self.names.len());
         match work.refinement {
-            Some(Refinement::Grow) => self.refine(true, observer)?,
-            Some(Refinement::Cull) => self.refine(false, observer)?,
+            Some(Refinement::Grow) => self.refine(true, work.prunes, observer)?,
+            Some(Refinement::Cull) => self.refine(false, false, observer)?,
             Some(Refinement::Pause) => self.engine.forget_statistics()?,
             None => {}
         }
@@ -475,6 +478,13 @@ impl ReconstructRun<'_> {
             self.engine.limit_opacity(ceiling)?;
             self.log.push(LogEntry::Ceiling { step: self.step + 1 });
             self.scatter()?;
+        }
+        let d = &self.params.densify;
+        if self.step.is_multiple_of(d.selection_every) && self.params.selects(self.step, self.gaussians) {
+            self.drain(Drain::All)?;
+            let mut state = self.engine.save()?.into_owned();
+            density::press(&mut state, d.selection_weight);
+            self.engine.load(state)?;
         }
         if self.step + 1 == self.params.complete_at {
             self.complete(observer)?;
@@ -549,9 +559,17 @@ impl ReconstructRun<'_> {
     }
 
     /// Adds and removes Gaussians.
-    fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
+    fn refine(
+        &mut self,
+        growing: bool,
+        prunes: bool,
+        observer: &mut dyn Observer,
+    ) -> Result<(), ReconstructError> {
         let (params, d, draws) = (self.params, &self.params.densify, self.draws());
-        let settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
+        let mut settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
+        if prunes {
+            settings.prune_share = d.prune_share;
+        }
         let (rows, report) = density::plan(&self.engine.survey()?, &settings);
         self.engine.rebuild(&rows, &draws)?;
         self.gaussians = rows.len();

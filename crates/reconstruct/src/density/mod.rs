@@ -21,10 +21,12 @@
 mod noise;
 mod rebuild;
 mod schedule;
+mod selection;
 
 pub(crate) use noise::scatter;
 pub use rebuild::{Child, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
+pub(crate) use selection::{SURVIVES, press};
 
 use use3d_numerics::math;
 use use3d_splat::Gaussians;
@@ -79,6 +81,10 @@ pub struct RefineSettings {
     pub most: usize,
     /// The number of Gaussians to which a scene grows, whatever the thresholds.
     pub budget: Option<usize>,
+    /// Share of the Gaussians, the least opaque, that is removed.
+    pub prune_share: f64,
+    /// The least opaque beyond this number are removed, too.
+    pub keep_most: usize,
 }
 
 /// The result of a refinement.
@@ -118,12 +124,18 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
         None => largest(i) <= settings.cull_scale && radius(i) <= settings.cull_radius,
     };
     let mut keep: Vec<bool> = (0..n).map(|i| opacity_logits[i] >= faint && fits(i)).collect();
+    let opaque = |&a: &usize, &b: &usize| opacity_logits[b].total_cmp(&opacity_logits[a]).then(a.cmp(&b));
+    let pruned = ((settings.prune_share * n as f64) as usize).max(n.saturating_sub(settings.keep_most));
+    if pruned > 0 {
+        let mut order: Vec<usize> = (0..n).collect();
+        order.sort_by(opaque);
+        order[n - pruned..].iter().for_each(|&i| keep[i] = false);
+    }
     let survivors = keep.iter().filter(|k| **k).count();
     let floor = settings.floor.min(n);
     if survivors < floor {
         let mut condemned: Vec<usize> = (0..n).filter(|&i| !keep[i]).collect();
-        let opacity = |i: usize| opacity_logits[i];
-        condemned.sort_by(|&a, &b| opacity(b).total_cmp(&opacity(a)).then(a.cmp(&b)));
+        condemned.sort_by(opaque);
         for &i in condemned.iter().take(floor - survivors) {
             keep[i] = true;
             report.spared += 1;
@@ -188,6 +200,8 @@ mod tests {
         floor: 2,
         most: 1000,
         budget: None,
+        prune_share: 0.0,
+        keep_most: usize::MAX,
     };
     const DRAWS: Draws = Draws { split: Split::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
@@ -309,6 +323,17 @@ mod tests {
         assert_eq!(born(&s, &to(90)), [Twin(0), Twin(1), Twin(2)], "the last one was not seen");
         let (rows, report) = plan(&s, &RefineSettings { most: 5, ..to(6) });
         assert_eq!((rows.len(), report.held_back), (5, 1));
+    }
+
+    #[test]
+    fn the_least_opaque_are_pruned_by_share_and_beyond_a_number() {
+        use Origin::*;
+        let (_, s) = scene(&[(4.0, 0.1, 0.0), (1.0, 0.1, 0.0), (3.0, 0.1, 0.0), (2.0, 0.1, 0.0)]);
+        let kept = |settings: RefineSettings| plan(&s, &settings).0;
+        assert_eq!(kept(RefineSettings { prune_share: 0.25, ..SETTINGS }), [Kept(0), Kept(2), Kept(3)]);
+        assert_eq!(kept(RefineSettings { prune_share: 0.24, ..SETTINGS }).len(), 4);
+        assert_eq!(kept(RefineSettings { keep_most: 2, ..SETTINGS }), [Kept(0), Kept(2)]);
+        assert_eq!(kept(RefineSettings { prune_share: 1.0, ..SETTINGS }), [Kept(0), Kept(2)], "the floor");
     }
 
     #[test]

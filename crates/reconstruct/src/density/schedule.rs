@@ -1,6 +1,6 @@
 //! The steps at which density control works, and its settings there (R9).
 
-use super::RefineSettings;
+use super::{RefineSettings, SURVIVES};
 use crate::{ReconstructParams, Strategy};
 
 /// The work of density control after a step.
@@ -10,7 +10,12 @@ pub(crate) struct DensityWork {
     pub(crate) refinement: Option<Refinement>,
     /// Opacities are lowered to this afterwards.
     pub(crate) ceiling: Option<f64>,
+    /// The least opaque share is removed, too.
+    pub(crate) prunes: bool,
 }
+
+/// Share of growth in which the least opaque share is removed.
+const PRUNED: f64 = 0.6;
 
 /// The use of the statistics that were gathered since the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -38,7 +43,7 @@ impl ReconstructParams {
             let lower = [(d.period, d.opacity_ceiling), (d.lower_every, d.lower_to)];
             let mut due = lower.into_iter().filter(|(every, _)| *every > 0 && at(*every));
             let ceiling = due.next().filter(|_| !self.is_gentle()).map(|(_, most)| most);
-            return DensityWork { refinement, ceiling };
+            return DensityWork { refinement, ceiling, prunes: false };
         }
         let growing = step < self.densify_end();
         let ceilings = growing && !self.is_gentle();
@@ -50,7 +55,9 @@ impl ReconstructParams {
             (false, false) => Refinement::Cull,
         });
         let ceiling = (ceilings && phase == d.every % d.period).then_some(d.opacity_ceiling);
-        DensityWork { refinement, ceiling }
+        let early = (step as f64) < PRUNED * self.densify_end() as f64;
+        let prunes = early && refinement == Some(Refinement::Grow) && phase < pause + d.every;
+        DensityWork { refinement, ceiling, prunes }
     }
 
     /// The number of Gaussians to which a scene has grown after `step`.
@@ -73,18 +80,24 @@ impl ReconstructParams {
         let signed = d.strategy == Strategy::Signed;
         let by_size = !signed || step + 1 > d.period;
         let limit = |size: f64| if by_size && size > 0.0 { size } else { f64::INFINITY };
+        let selects = d.selection_weight > 0.0 && !grow;
+        let selected = selects && step >= self.selection_end() && d.selection_budget > 0;
+        let floor = d.floor.max((d.floor_share * initial as f64) as usize);
+        let floor = if selects { floor.max(d.selection_budget) } else { floor };
         RefineSettings {
             grow,
             gradient_threshold: d.gradient_threshold,
             split_threshold: d.compares_both().then_some(d.split_threshold),
             split_scale: unit * d.split_scale,
-            cull_opacity: self.cull_opacity(grow),
+            cull_opacity: if selects { SURVIVES } else { self.cull_opacity(grow) },
             cull_scale: limit(unit * d.cull_scale),
             cull_radius: limit(if signed { d.cull_screen } else { 0.0 }),
             after_growth: signed.then_some(d.shrink),
-            floor: d.floor.max((d.floor_share * initial as f64) as usize),
+            floor,
             most,
             budget: self.budget(step),
+            prune_share: 0.0,
+            keep_most: if selected { floor } else { usize::MAX },
         }
     }
 }
@@ -189,13 +202,18 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_follows_the_root_of_the_time() {
+    fn a_budget_follows_the_root_of_the_time_and_pruning_comes_after_each_early_pause() {
         let mut params = paper();
         params.densify.budget = 40_000;
         let budget = |step| params.refine_settings(true, (step, 1.0), 300, 70_000).budget;
         assert_eq!([600, 2950, 10_000].map(budget), [Some(0), Some(20_000), Some(40_000)]);
         params.densify.budget = 0;
         assert_eq!(params.refine_settings(true, (2950, 1.0), 300, 70_000).budget, None);
+        // The first growth after each pause of the first 6,000 steps.
+        assert_eq!(
+            steps(&params, 18, |work| work.prunes),
+            (1..12).map(|k| 500 * k + 200).collect::<Vec<_>>()
+        );
     }
 
     #[test]
@@ -213,6 +231,8 @@ mod tests {
             floor: 500,
             most: 70_000,
             budget: None,
+            prune_share: 0.0,
+            keep_most: usize::MAX,
         };
         assert_eq!(growing, expected);
         let late = paper().refine_settings(false, (700, 1.0), 300, 70_000);
