@@ -22,7 +22,7 @@ use use3d_training::{
 use crate::bounds::most_gaussians;
 use crate::colors::ColorState;
 use crate::completion::Holes;
-use crate::density::{self, Draws, Refinement};
+use crate::density::{self, Draws, GrowthViews, Refinement};
 use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
@@ -135,6 +135,7 @@ pub fn reconstruct(
     let masks = if params.hidden_below > 0.0 { Masks::new(&views.train) } else { Masks::default() };
     let completes = params.complete_at > 0 && params.depth_prior != DepthPrior::Off;
     let holes = if completes { Holes::new(&views.train) } else { Holes::default() };
+    let growth_views = GrowthViews::new(&views.train, &params.densify);
     let exposes = params.exposure == Exposure::PerView;
     let gain = |view: &usize| known.gains.get(*view).copied().unwrap_or([1.0; 3]);
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
@@ -168,6 +169,7 @@ pub fn reconstruct(
         most,
         masks,
         holes,
+        growth_views,
         unit: if params.densify.strategy == Strategy::Signed { extent(&cameras) } else { 1.0 },
         cameras,
         cap_reported: false,
@@ -222,6 +224,8 @@ struct ReconstructRun<'a> {
     masks: Masks,
     /// The views in which holes are looked for.
     holes: Holes,
+    /// The views at which growth looks.
+    growth_views: GrowthViews,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     /// The length in which density control and the rate of centres count, scene units.
@@ -570,7 +574,13 @@ impl ReconstructRun<'_> {
         if prunes {
             settings.prune_share = d.prune_share;
         }
-        let (rows, report) = density::plan(&self.engine.survey()?, &settings);
+        let mut survey = self.engine.survey()?;
+        if growing && d.looks() {
+            self.drain(Drain::All)?;
+            let degrees = self.degrees(self.step);
+            survey.evidence = self.growth_views.evidence(&*self.engine.save()?, degrees, d, &draws);
+        }
+        let (rows, report) = density::plan(&survey, &settings);
         self.engine.rebuild(&rows, &draws)?;
         self.gaussians = rows.len();
         if d.reset_medium && growing {

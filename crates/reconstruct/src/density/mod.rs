@@ -18,11 +18,14 @@
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
 //! may call `rebuilt` or do the same where its arrays are.
 
+mod evidence;
 mod noise;
 mod rebuild;
 mod schedule;
 mod selection;
 
+pub use evidence::Evidence;
+pub(crate) use evidence::GrowthViews;
 pub(crate) use noise::scatter;
 pub use rebuild::{Child, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
@@ -42,6 +45,8 @@ pub struct Survey {
     pub log_sizes: Vec<f32>,
     /// Screen gradients since the last refinement.
     pub statistics: Statistics,
+    /// What several views show, if a rule looks at them.
+    pub evidence: Evidence,
 }
 
 impl Survey {
@@ -51,6 +56,7 @@ impl Survey {
             opacity_logits: gaussians.opacity_logits.clone(),
             log_sizes: gaussians.log_scales.iter().map(|s| s[0].max(s[1]).max(s[2])).collect(),
             statistics: statistics.clone(),
+            evidence: Evidence::default(),
         }
     }
 }
@@ -105,16 +111,17 @@ pub struct RefineReport {
 /// Computes the rows of the refined scene: survivors in their order, then twins and children in the order
 /// of their parents. All arrays of `survey` have the same length.
 pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
-    let Survey { opacity_logits, log_sizes, statistics } = survey;
+    let Survey { opacity_logits, log_sizes, statistics, evidence } = survey;
     let n = opacity_logits.len();
     let mut report = RefineReport::default();
     let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
     let wide = |i: usize| largest(i) > settings.split_scale;
     // In units of the threshold of duplicates, so that splits and duplicates can be compared.
+    let gain = |i: usize| evidence.gains.get(i).map_or(1.0, |gain| f64::from(*gain));
     let pull = |i: usize| match settings.split_threshold {
-        Some(split) if wide(i) => statistics.absolute_mean(i) * settings.gradient_threshold / split,
-        _ => statistics.mean(i),
+        Some(split) if wide(i) => gain(i) * statistics.absolute_mean(i) * settings.gradient_threshold / split,
+        _ => gain(i) * statistics.mean(i),
     };
     let pulled = |i: usize| pull(i) > settings.gradient_threshold;
     let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
@@ -146,17 +153,19 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
 
     let mut grow = vec![false; n];
     if settings.grow {
+        let may = |i: usize| keep[i] && !evidence.too_small.get(i).is_some_and(|small| *small);
+        let rank = |i: usize| evidence.scores.get(i).map_or_else(|| pull(i), |s| gain(i) * f64::from(*s));
         let wanted = match settings.budget {
             Some(budget) => budget.saturating_sub(survivors),
-            None => (0..n).filter(|&i| keep[i] && pulled(i)).count(),
+            None => (0..n).filter(|&i| may(i) && pulled(i)).count(),
         };
-        let least = if settings.budget.is_some() { 0.0 } else { settings.gradient_threshold };
-        let candidate = |i: usize| keep[i] && pull(i) > least;
+        let ranked = settings.budget.is_some() || !evidence.scores.is_empty();
+        let candidate = |i: usize| may(i) && if ranked { rank(i) > 0.0 } else { pulled(i) };
         let mut chosen: Vec<usize> = (0..n).filter(|&i| candidate(i)).collect();
         let (wanted, room) = (wanted.min(chosen.len()), settings.most.saturating_sub(survivors));
         report.held_back = wanted.saturating_sub(room);
         if chosen.len() > wanted.min(room) {
-            chosen.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
+            chosen.sort_by(|&a, &b| rank(b).total_cmp(&rank(a)).then(a.cmp(&b)));
             chosen.truncate(wanted.min(room));
         }
         for i in chosen {
@@ -313,7 +322,7 @@ mod tests {
     #[test]
     fn a_budget_takes_the_first_candidates_whatever_the_threshold() {
         use Origin::*;
-        let (_, s) = scene(&[(2.0, 1e-4, 1e-5), (2.0, 1e-4, 3e-5), (2.0, 1e-4, 2e-5), (2.0, 1e-4, 0.0)]);
+        let (_, mut s) = scene(&[(2.0, 1e-4, 1e-5), (2.0, 1e-4, 3e-5), (2.0, 1e-4, 2e-5), (2.0, 1e-4, 0.0)]);
         let to = |budget| RefineSettings { budget: Some(budget), ..SETTINGS };
         let born = |s: &Survey, settings: &RefineSettings| -> Vec<Origin> {
             plan(s, settings).0.into_iter().filter(|row| !matches!(row, Kept(_))).collect()
@@ -323,6 +332,21 @@ mod tests {
         assert_eq!(born(&s, &to(90)), [Twin(0), Twin(1), Twin(2)], "the last one was not seen");
         let (rows, report) = plan(&s, &RefineSettings { most: 5, ..to(6) });
         assert_eq!((rows.len(), report.held_back), (5, 1));
+        // What is far counts more, and what the screen does not resolve is left alone.
+        s.evidence.gains = vec![3.0, 1.0, 1.4, 1.0];
+        assert_eq!(born(&s, &to(6)), [Twin(0), Twin(1)]);
+        s.evidence.too_small = vec![true, false, false, false];
+        assert_eq!(born(&s, &to(6)), [Twin(1), Twin(2)]);
+    }
+
+    #[test]
+    fn errors_choose_as_many_as_the_gradient_would() {
+        use Origin::*;
+        let (_, mut s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 0.0), (2.0, 1e-4, 9e-4), (2.0, 1e-4, 0.0)]);
+        s.evidence.scores = vec![0.1, 0.4, 0.2, 0.3];
+        assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(1), Twin(3)]);
+        s.evidence.gains = vec![5.0, 1.0, 1.0, 1.0];
+        assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(0), Twin(1)]);
     }
 
     #[test]
@@ -360,6 +384,8 @@ mod tests {
             let opacity = |logit: f32| 1.0 / (1.0 + math::exp(-logit));
             assert!((opacity(children.opacity_logits[i]) - 0.6 * opacity(2.0)).abs() < 1e-6);
         }
+        let on_screen = Draws { split: Split::LongAxis, ..DRAWS }.shrinkage();
+        assert!((on_screen - 1.0 / (0.55f64 * (1.0f64 - 0.2025).sqrt()).sqrt()).abs() < 1e-12);
     }
 
     #[test]

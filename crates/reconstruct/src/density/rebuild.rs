@@ -105,6 +105,15 @@ impl Draws {
         let mean = std::array::from_fn(|axis| gaussians.means[parent][axis] + offset[axis] as f32);
         Child { mean, log_scales: log_scales_of_child, opacity_logit }
     }
+
+    /// The factor by which the geometric mean of a child's standard deviations on the screen is smaller, of
+    /// a Gaussian whose long axis lies in the picture.
+    pub(super) fn shrinkage(&self) -> f64 {
+        match self.split {
+            Split::Drawn => self.shrink,
+            Split::LongAxis => 1.0 / ((1.0 - APART) * (1.0 - APART * APART).sqrt()).sqrt(),
+        }
+    }
 }
 
 /// Makes the Gaussians of these rows: kept ones and twins unchanged, children in their parents and smaller.

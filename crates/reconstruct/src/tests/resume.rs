@@ -160,7 +160,11 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
     let mut params = ReconstructParams { checkpoint_steps: 8, schedule: 100, ..tiny_params(100) };
     params.densify = crate::Densify {
         split: crate::Split::LongAxis,
+        candidates: crate::Candidates::Error,
+        views: 3,
         budget: 500,
+        split_floor: 0.6,
+        far_gain: 3.0,
         until: 0.7,
         prune_share: 0.1,
         selection_weight: 0.05,
