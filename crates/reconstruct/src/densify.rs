@@ -23,7 +23,7 @@ pub enum Strategy {
 /// The places of the two children of a split.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
-pub enum Split {
+pub enum Children {
     /// Both are drawn from the parent, and smaller than it by `shrink`.
     #[default]
     Drawn,
@@ -80,7 +80,7 @@ pub struct Densify {
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
     /// The places of the two children of a split.
-    pub split: Split,
+    pub split: Children,
     /// Factor by which drawn children of a split are smaller.
     pub shrink: f64,
     /// The choice of the Gaussians that are split or duplicated.
@@ -159,7 +159,7 @@ impl Default for Densify {
             reference_pixels: 1400 * 933,
             size_exponent: 0.2,
             split_scale: 1e-3,
-            split: Split::Drawn,
+            split: Children::Drawn,
             shrink: 1.3,
             candidates: Candidates::Gradient,
             views: 8,

@@ -224,7 +224,7 @@ mod tests {
     }
 
     /// A view of 64 × 48 pixels with this photograph and mask.
-    fn view(image: Image, mask: Option<Map>) -> TrainingView {
+    fn view(image: &Image, mask: Option<Map>) -> TrainingView {
         let intrinsics = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
         let camera =
             Camera { intrinsics, pose: Pose::look_at(glam::DVec3::ZERO, glam::DVec3::Z, -glam::DVec3::Y) };
@@ -253,13 +253,13 @@ mod tests {
         let by_error =
             |edge_weight| Densify { candidates: Candidates::Error, edge_weight, ..Densify::default() };
         let state = discs();
-        let camera = view(Image::new(64, 48), None).camera;
+        let camera = view(&Image::new(64, 48), None).camera;
         // The photograph has the first disc as it is rendered, and not the other two.
         let mut photograph = rendered(&state, &camera);
         for c in 0..3 {
             photograph.plane_mut(c).iter_mut().enumerate().for_each(|(p, v)| *v *= f32::from(p % 64 < 24));
         }
-        let plain = found(&[view(photograph.clone(), None)], &state, &by_error(0.0));
+        let plain = found(&[view(&photograph, None)], &state, &by_error(0.0));
         assert!(plain.scores[0] < 0.02 * plain.scores[1] && plain.scores[3] == 0.0, "{:?}", plain.scores);
         // Σ w |I − Î| of a grey disc with peak opacity a, whose w is its colour share: ½ Σ α² by hand.
         let covered: f32 = rendered(&state, &camera)
@@ -274,8 +274,7 @@ mod tests {
         // Edges of the photograph: the first disc alone has some.
         let mut brighter = photograph.clone();
         brighter.data_mut().iter_mut().for_each(|v| *v *= 0.5);
-        let [flat, edged] =
-            [0.0, 2.0].map(|w| found(&[view(brighter.clone(), None)], &state, &by_error(w)).scores);
+        let [flat, edged] = [0.0, 2.0].map(|w| found(&[view(&brighter, None)], &state, &by_error(w)).scores);
         assert!(
             edged[0] > 1.5 * flat[0] && edged[0] < 3.0 * flat[0] && edged[1] == flat[1],
             "{flat:?} {edged:?}"
@@ -283,8 +282,26 @@ mod tests {
         // A mask takes the error away.
         let mask =
             Some(Map::from_planes(64, 48, (0..64 * 48).map(|p| f32::from(p % 64 < 42)).collect()).unwrap());
-        let masked = found(&[view(photograph, mask)], &state, &by_error(0.0)).scores;
+        let masked = found(&[view(&photograph, mask)], &state, &by_error(0.0)).scores;
         assert!(masked[2] < 1e-3 * plain.scores[2] && masked[1] == plain.scores[1], "{masked:?}");
+    }
+
+    #[test]
+    fn an_edge_counts_by_its_gradient_against_the_mean_one() {
+        // A step of light after two of four columns: the gradient is one in the middle columns, ½ in the mean.
+        let step = Image::from_planes(4, 3, (0..36).map(|p| f32::from(p % 4 > 1)).collect()).unwrap();
+        let photograph = step.to_8bit();
+        let camera = view(&Image::new(64, 48), None).camera;
+        let errors = |mask: Option<Map>| {
+            let view = GrowthView { index: 0, camera, divisor: 1, photograph: photograph.clone(), mask };
+            let mut out = Vec::new();
+            view.errors(&Image::new(4, 3), 3.0, &mut out);
+            out
+        };
+        for (p, error) in errors(None).into_iter().enumerate() {
+            assert!((error - [0.0, 0.0, 3.0, 1.0][p % 4]).abs() < 1e-6, "pixel {p}: {error}");
+        }
+        assert_eq!(errors(Some(Map::new(4, 3))), [0.0; 12]);
     }
 
     #[test]
@@ -295,7 +312,7 @@ mod tests {
         let raw = |beta: f64| (math::ln(math::exp_m1(beta)) / 0.282_094_791_773_878) as f32;
         water.coefficients[2][0] = [raw(0.2), raw(0.3), raw(0.3)];
         state.medium = MediumModel::Global(water);
-        let views = [view(Image::new(64, 48), None)];
+        let views = [view(&Image::new(64, 48), None)];
         let far = found(&views, &state, &Densify { far_gain: 3.0, ..Densify::default() });
         let distance = |i: usize| state.gaussians.means[i].iter().map(|v| v * v).sum::<f32>().sqrt();
         for i in 0..2 {
@@ -318,7 +335,7 @@ mod tests {
     #[test]
     fn views_are_drawn_from_every_part_of_the_capture() {
         let densify = Densify { candidates: Candidates::Error, ..Densify::default() };
-        let views: Vec<_> = (0..20).map(|_| view(Image::new(64, 48), None)).collect();
+        let views: Vec<_> = (0..20).map(|_| view(&Image::new(64, 48), None)).collect();
         let pool = GrowthViews::new(&views, &densify);
         let drawn = |step| -> Vec<usize> {
             let draws = Draws { seed: 7, step, ..Draws::default() };

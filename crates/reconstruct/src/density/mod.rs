@@ -14,6 +14,9 @@
 //! a floor (the most opaque stay), and growth stops at a cap (the largest gradients first). New Gaussians
 //! start with zero moments.
 //!
+//! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of sizes
+//! and a gain behind water ([`Evidence`]), a budget, a pruned share, and selection by opacity after growth.
+//!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
 //! may call `rebuilt` or do the same where its arrays are.
@@ -194,7 +197,7 @@ pub fn logit(p: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Split;
+    use crate::Children;
     use crate::engine::zeros;
 
     const SETTINGS: RefineSettings = RefineSettings {
@@ -212,7 +215,7 @@ mod tests {
         prune_share: 0.0,
         keep_most: usize::MAX,
     };
-    const DRAWS: Draws = Draws { split: Split::Drawn, seed: 1, step: 700, shrink: 1.6 };
+    const DRAWS: Draws = Draws { split: Children::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
     /// Gaussians from rows of (opacity logit, standard deviation, mean screen gradient).
     fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Survey) {
@@ -367,7 +370,7 @@ mod tests {
         g.log_scales[0] = [math::ln(0.02f32), math::ln(0.1f32), math::ln(0.03f32)];
         g.quaternions[0] = [1.0, 0.0, 0.0, 1.0];
         let (rows, _) = plan(&s, &RefineSettings { floor: 0, ..SETTINGS });
-        let children = rebuilt(&g, &rows, &Draws { split: Split::LongAxis, ..DRAWS });
+        let children = rebuilt(&g, &rows, &Draws { split: Children::LongAxis, ..DRAWS });
         assert_eq!(children.len(), 2);
         for (i, side) in [(0, 1.0f32), (1, -1.0)] {
             let [x, y, z] = children.means[i];
@@ -384,7 +387,7 @@ mod tests {
             let opacity = |logit: f32| 1.0 / (1.0 + math::exp(-logit));
             assert!((opacity(children.opacity_logits[i]) - 0.6 * opacity(2.0)).abs() < 1e-6);
         }
-        let on_screen = Draws { split: Split::LongAxis, ..DRAWS }.shrinkage();
+        let on_screen = Draws { split: Children::LongAxis, ..DRAWS }.shrinkage();
         assert!((on_screen - 1.0 / (0.55f64 * (1.0f64 - 0.2025).sqrt()).sqrt()).abs() < 1e-12);
     }
 

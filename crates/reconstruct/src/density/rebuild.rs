@@ -4,7 +4,7 @@ use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
 
-use crate::Split;
+use crate::Children;
 
 /// Distance of a child from its parent's centre in a split of the long axis, in lengths of that half axis.
 const APART: f64 = 0.45;
@@ -51,7 +51,7 @@ pub struct Child {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Draws {
     /// The places of children.
-    pub split: Split,
+    pub split: Children,
     /// Seed of the run.
     pub seed: u64,
     /// The step, from 0.
@@ -87,8 +87,8 @@ impl Draws {
         let log_scales = gaussians.log_scales[parent];
         let mut opacity_logit = gaussians.opacity_logits[parent];
         let (place, log_scales_of_child) = match self.split {
-            Split::Drawn => (self.place(parent, child), log_scales.map(|s| s - self.smaller())),
-            Split::LongAxis => {
+            Children::Drawn => (self.place(parent, child), log_scales.map(|s| s - self.smaller())),
+            Children::LongAxis => {
                 let long = (1..3)
                     .fold(0, |long, axis| if log_scales[axis] > log_scales[long] { axis } else { long });
                 let mut place = [0.0; 3];
@@ -110,8 +110,8 @@ impl Draws {
     /// a Gaussian whose long axis lies in the picture.
     pub(super) fn shrinkage(&self) -> f64 {
         match self.split {
-            Split::Drawn => self.shrink,
-            Split::LongAxis => 1.0 / ((1.0 - APART) * (1.0 - APART * APART).sqrt()).sqrt(),
+            Children::Drawn => self.shrink,
+            Children::LongAxis => 1.0 / ((1.0 - APART) * (1.0 - APART * APART).sqrt()).sqrt(),
         }
     }
 }
