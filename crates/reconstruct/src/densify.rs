@@ -105,9 +105,6 @@ pub struct Densify {
     pub cull_opacity: f64,
     /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
     pub cull_opacity_late: f64,
-    /// Share of the Gaussians, the least opaque, that is removed at the first refinement after each pause of
-    /// the first three fifths of growth. 0: none.
-    pub prune_share: f64,
     /// Selection by opacity after growth: weight of the pressure on all opacities against the gradients of the
     /// pictures. Gaussians whose opacity falls below 0.001 are removed. 0: there is none.
     pub selection_weight: f64,
@@ -169,7 +166,6 @@ impl Default for Densify {
             far_gain: 1.0,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
-            prune_share: 0.0,
             selection_weight: 0.0,
             selection_every: 10,
             selection_until: 0.77,
@@ -215,7 +211,6 @@ impl Densify {
         share("densify.cull_opacity", d.cull_opacity)?;
         share("densify.cull_opacity_late", d.cull_opacity_late)?;
         share("densify.floor_share", d.floor_share)?;
-        share("densify.prune_share", d.prune_share)?;
         share("densify.selection_until", d.selection_until)?;
         at_least("densify.selection_every", d.selection_every, 1)?;
         at_least("densify.views", d.views as u64, 1)?;

@@ -473,8 +473,8 @@ impl ReconstructRun<'_> {
     fn control_density(&mut self, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let work = self.params.density_work(self.step, self.names.len());
         match work.refinement {
-            Some(Refinement::Grow) => self.refine(true, work.prunes, observer)?,
-            Some(Refinement::Cull) => self.refine(false, false, observer)?,
+            Some(Refinement::Grow) => self.refine(true, observer)?,
+            Some(Refinement::Cull) => self.refine(false, observer)?,
             Some(Refinement::Pause) => self.engine.forget_statistics()?,
             None => {}
         }
@@ -563,17 +563,9 @@ impl ReconstructRun<'_> {
     }
 
     /// Adds and removes Gaussians.
-    fn refine(
-        &mut self,
-        growing: bool,
-        prunes: bool,
-        observer: &mut dyn Observer,
-    ) -> Result<(), ReconstructError> {
+    fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
         let (params, d, draws) = (self.params, &self.params.densify, self.draws());
-        let mut settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
-        if prunes {
-            settings.prune_share = d.prune_share;
-        }
+        let settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
         let mut survey = self.engine.survey()?;
         if growing && d.looks() {
             self.drain(Drain::All)?;

@@ -15,7 +15,7 @@
 //! start with zero moments.
 //!
 //! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of sizes
-//! and a gain behind water ([`Evidence`]), a budget, a pruned share, and selection by opacity after growth.
+//! and a gain behind water ([`Evidence`]), a budget, and selection by opacity after growth.
 //!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
@@ -90,9 +90,7 @@ pub struct RefineSettings {
     pub most: usize,
     /// The number of Gaussians to which a scene grows, whatever the thresholds.
     pub budget: Option<usize>,
-    /// Share of the Gaussians, the least opaque, that is removed.
-    pub prune_share: f64,
-    /// The least opaque beyond this number are removed, too.
+    /// The least opaque beyond this number are removed.
     pub keep_most: usize,
 }
 
@@ -135,11 +133,10 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     };
     let mut keep: Vec<bool> = (0..n).map(|i| opacity_logits[i] >= faint && fits(i)).collect();
     let opaque = |&a: &usize, &b: &usize| opacity_logits[b].total_cmp(&opacity_logits[a]).then(a.cmp(&b));
-    let pruned = ((settings.prune_share * n as f64) as usize).max(n.saturating_sub(settings.keep_most));
-    if pruned > 0 {
+    if n > settings.keep_most {
         let mut order: Vec<usize> = (0..n).collect();
         order.sort_by(opaque);
-        order[n - pruned..].iter().for_each(|&i| keep[i] = false);
+        order[settings.keep_most..].iter().for_each(|&i| keep[i] = false);
     }
     let survivors = keep.iter().filter(|k| **k).count();
     let floor = settings.floor.min(n);
@@ -212,7 +209,6 @@ mod tests {
         floor: 2,
         most: 1000,
         budget: None,
-        prune_share: 0.0,
         keep_most: usize::MAX,
     };
     const DRAWS: Draws = Draws { split: Children::Drawn, seed: 1, step: 700, shrink: 1.6 };
@@ -353,14 +349,11 @@ mod tests {
     }
 
     #[test]
-    fn the_least_opaque_are_pruned_by_share_and_beyond_a_number() {
+    fn the_least_opaque_beyond_a_number_are_removed() {
         use Origin::*;
         let (_, s) = scene(&[(4.0, 0.1, 0.0), (1.0, 0.1, 0.0), (3.0, 0.1, 0.0), (2.0, 0.1, 0.0)]);
         let kept = |settings: RefineSettings| plan(&s, &settings).0;
-        assert_eq!(kept(RefineSettings { prune_share: 0.25, ..SETTINGS }), [Kept(0), Kept(2), Kept(3)]);
-        assert_eq!(kept(RefineSettings { prune_share: 0.24, ..SETTINGS }).len(), 4);
         assert_eq!(kept(RefineSettings { keep_most: 2, ..SETTINGS }), [Kept(0), Kept(2)]);
-        assert_eq!(kept(RefineSettings { prune_share: 1.0, ..SETTINGS }), [Kept(0), Kept(2)], "the floor");
     }
 
     #[test]

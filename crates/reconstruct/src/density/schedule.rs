@@ -10,12 +10,7 @@ pub(crate) struct DensityWork {
     pub(crate) refinement: Option<Refinement>,
     /// Opacities are lowered to this afterwards.
     pub(crate) ceiling: Option<f64>,
-    /// The least opaque share is removed, too.
-    pub(crate) prunes: bool,
 }
-
-/// Share of growth in which the least opaque share is removed.
-const PRUNED: f64 = 0.6;
 
 /// The use of the statistics that were gathered since the last one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +38,7 @@ impl ReconstructParams {
             let lower = [(d.period, d.opacity_ceiling), (d.lower_every, d.lower_to)];
             let mut due = lower.into_iter().filter(|(every, _)| *every > 0 && at(*every));
             let ceiling = due.next().filter(|_| !self.is_gentle()).map(|(_, most)| most);
-            return DensityWork { refinement, ceiling, prunes: false };
+            return DensityWork { refinement, ceiling };
         }
         let growing = step < self.densify_end();
         let ceilings = growing && !self.is_gentle();
@@ -55,9 +50,7 @@ impl ReconstructParams {
             (false, false) => Refinement::Cull,
         });
         let ceiling = (ceilings && phase == d.every % d.period).then_some(d.opacity_ceiling);
-        let early = (step as f64) < PRUNED * self.densify_end() as f64;
-        let prunes = early && refinement == Some(Refinement::Grow) && phase < pause + d.every;
-        DensityWork { refinement, ceiling, prunes }
+        DensityWork { refinement, ceiling }
     }
 
     /// The number of Gaussians to which a scene has grown after `step`.
@@ -96,7 +89,6 @@ impl ReconstructParams {
             floor,
             most,
             budget: self.budget(step),
-            prune_share: 0.0,
             keep_most: if selected { floor } else { usize::MAX },
         }
     }
@@ -202,18 +194,13 @@ mod tests {
     }
 
     #[test]
-    fn a_budget_follows_the_root_of_the_time_and_pruning_comes_after_each_early_pause() {
+    fn a_budget_follows_the_root_of_the_time() {
         let mut params = paper();
         params.densify.budget = 40_000;
         let budget = |step| params.refine_settings(true, (step, 1.0), 300, 70_000).budget;
         assert_eq!([600, 2950, 10_000].map(budget), [Some(0), Some(20_000), Some(40_000)]);
         params.densify.budget = 0;
         assert_eq!(params.refine_settings(true, (2950, 1.0), 300, 70_000).budget, None);
-        // The first growth after each pause of the first 6,000 steps.
-        assert_eq!(
-            steps(&params, 18, |work| work.prunes),
-            (1..12).map(|k| 500 * k + 200).collect::<Vec<_>>()
-        );
     }
 
     #[test]
@@ -231,7 +218,6 @@ mod tests {
             floor: 500,
             most: 70_000,
             budget: None,
-            prune_share: 0.0,
             keep_most: usize::MAX,
         };
         assert_eq!(growing, expected);

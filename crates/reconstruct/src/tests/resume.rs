@@ -166,7 +166,6 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
         split_floor: 0.6,
         far_gain: 3.0,
         until: 0.7,
-        prune_share: 0.1,
         selection_weight: 0.05,
         selection_every: 2,
         selection_budget: 300,
