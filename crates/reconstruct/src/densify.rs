@@ -105,17 +105,6 @@ pub struct Densify {
     pub cull_opacity: f64,
     /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
     pub cull_opacity_late: f64,
-    /// Selection by opacity after growth: weight of the pressure on all opacities against the gradients of the
-    /// pictures. Gaussians whose opacity falls below 0.001 are removed. 0: there is none.
-    pub selection_weight: f64,
-    /// Steps between two pressures.
-    pub selection_every: u64,
-    /// Share of the run at which selection ends. It begins at the end of growth.
-    pub selection_until: f64,
-    /// Number of Gaussians at which selection ends before. At its end the least opaque beyond it are removed.
-    pub selection_budget: usize,
-    /// Factor of the learning rate of opacities during selection.
-    pub selection_rate: f64,
     /// A run with a course of fewer steps than this has no ceilings and removes no Gaussians above half of
     /// `initial_opacity`: opacities have no time to rise. 0: runs of any length are alike.
     pub gentle_below: u64,
@@ -166,11 +155,6 @@ impl Default for Densify {
             far_gain: 1.0,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
-            selection_weight: 0.0,
-            selection_every: 10,
-            selection_until: 0.77,
-            selection_budget: 0,
-            selection_rate: 4.0,
             gentle_below: 2000,
             cull_scale: 10.0,
             cull_screen: 0.0,
@@ -211,11 +195,7 @@ impl Densify {
         share("densify.cull_opacity", d.cull_opacity)?;
         share("densify.cull_opacity_late", d.cull_opacity_late)?;
         share("densify.floor_share", d.floor_share)?;
-        share("densify.selection_until", d.selection_until)?;
-        at_least("densify.selection_every", d.selection_every, 1)?;
         at_least("densify.views", d.views as u64, 1)?;
-        not_negative("densify.selection_weight", d.selection_weight)?;
-        positive("densify.selection_rate", d.selection_rate)?;
         not_negative("densify.edge_weight", d.edge_weight)?;
         not_negative("densify.split_floor", d.split_floor)?;
         within("densify.far_gain", d.far_gain, 1.0, 1000.0)?;

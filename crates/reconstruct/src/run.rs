@@ -428,9 +428,6 @@ impl ReconstructRun<'_> {
         let params = self.params;
         let (mut rates, gain_rate) = params.rates(&self.phases, step);
         rates.means *= self.unit;
-        if params.selects(step, self.gaussians) {
-            rates.opacity *= params.densify.selection_rate;
-        }
         StepPlan {
             step,
             moves,
@@ -482,13 +479,6 @@ impl ReconstructRun<'_> {
             self.engine.limit_opacity(ceiling)?;
             self.log.push(LogEntry::Ceiling { step: self.step + 1 });
             self.scatter()?;
-        }
-        let d = &self.params.densify;
-        if self.step.is_multiple_of(d.selection_every) && self.params.selects(self.step, self.gaussians) {
-            self.drain(Drain::All)?;
-            let mut state = self.engine.save()?.into_owned();
-            density::press(&mut state, d.selection_weight);
-            self.engine.load(state)?;
         }
         if self.step + 1 == self.params.complete_at {
             self.complete(observer)?;

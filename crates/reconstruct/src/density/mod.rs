@@ -15,7 +15,7 @@
 //! start with zero moments.
 //!
 //! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of sizes
-//! and a gain behind water ([`Evidence`]), a budget, and selection by opacity after growth.
+//! and a gain behind water ([`Evidence`]), and a budget.
 //!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
@@ -25,14 +25,12 @@ mod evidence;
 mod noise;
 mod rebuild;
 mod schedule;
-mod selection;
 
 pub use evidence::Evidence;
 pub(crate) use evidence::GrowthViews;
 pub(crate) use noise::scatter;
 pub use rebuild::{Child, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
-pub(crate) use selection::{SURVIVES, press};
 
 use use3d_numerics::math;
 use use3d_splat::Gaussians;
@@ -90,8 +88,6 @@ pub struct RefineSettings {
     pub most: usize,
     /// The number of Gaussians to which a scene grows, whatever the thresholds.
     pub budget: Option<usize>,
-    /// The least opaque beyond this number are removed.
-    pub keep_most: usize,
 }
 
 /// The result of a refinement.
@@ -132,17 +128,12 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
         None => largest(i) <= settings.cull_scale && radius(i) <= settings.cull_radius,
     };
     let mut keep: Vec<bool> = (0..n).map(|i| opacity_logits[i] >= faint && fits(i)).collect();
-    let opaque = |&a: &usize, &b: &usize| opacity_logits[b].total_cmp(&opacity_logits[a]).then(a.cmp(&b));
-    if n > settings.keep_most {
-        let mut order: Vec<usize> = (0..n).collect();
-        order.sort_by(opaque);
-        order[settings.keep_most..].iter().for_each(|&i| keep[i] = false);
-    }
     let survivors = keep.iter().filter(|k| **k).count();
     let floor = settings.floor.min(n);
     if survivors < floor {
         let mut condemned: Vec<usize> = (0..n).filter(|&i| !keep[i]).collect();
-        condemned.sort_by(opaque);
+        let opacity = |i: usize| opacity_logits[i];
+        condemned.sort_by(|&a, &b| opacity(b).total_cmp(&opacity(a)).then(a.cmp(&b)));
         for &i in condemned.iter().take(floor - survivors) {
             keep[i] = true;
             report.spared += 1;
@@ -209,7 +200,6 @@ mod tests {
         floor: 2,
         most: 1000,
         budget: None,
-        keep_most: usize::MAX,
     };
     const DRAWS: Draws = Draws { split: Children::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
@@ -346,14 +336,6 @@ mod tests {
         assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(1), Twin(3)]);
         s.evidence.gains = vec![5.0, 1.0, 1.0, 1.0];
         assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(0), Twin(1)]);
-    }
-
-    #[test]
-    fn the_least_opaque_beyond_a_number_are_removed() {
-        use Origin::*;
-        let (_, s) = scene(&[(4.0, 0.1, 0.0), (1.0, 0.1, 0.0), (3.0, 0.1, 0.0), (2.0, 0.1, 0.0)]);
-        let kept = |settings: RefineSettings| plan(&s, &settings).0;
-        assert_eq!(kept(RefineSettings { keep_most: 2, ..SETTINGS }), [Kept(0), Kept(2)]);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The steps at which density control works, and its settings there (R9).
 
-use super::{RefineSettings, SURVIVES};
+use super::RefineSettings;
 use crate::{ReconstructParams, Strategy};
 
 /// The work of density control after a step.
@@ -73,23 +73,18 @@ impl ReconstructParams {
         let signed = d.strategy == Strategy::Signed;
         let by_size = !signed || step + 1 > d.period;
         let limit = |size: f64| if by_size && size > 0.0 { size } else { f64::INFINITY };
-        let selects = d.selection_weight > 0.0 && !grow;
-        let selected = selects && step >= self.selection_end() && d.selection_budget > 0;
-        let floor = d.floor.max((d.floor_share * initial as f64) as usize);
-        let floor = if selects { floor.max(d.selection_budget) } else { floor };
         RefineSettings {
             grow,
             gradient_threshold: d.gradient_threshold,
             split_threshold: d.compares_both().then_some(d.split_threshold),
             split_scale: unit * d.split_scale,
-            cull_opacity: if selects { SURVIVES } else { self.cull_opacity(grow) },
+            cull_opacity: self.cull_opacity(grow),
             cull_scale: limit(unit * d.cull_scale),
             cull_radius: limit(if signed { d.cull_screen } else { 0.0 }),
             after_growth: signed.then_some(d.shrink),
-            floor,
+            floor: d.floor.max((d.floor_share * initial as f64) as usize),
             most,
             budget: self.budget(step),
-            keep_most: if selected { floor } else { usize::MAX },
         }
     }
 }
@@ -218,7 +213,6 @@ mod tests {
             floor: 500,
             most: 70_000,
             budget: None,
-            keep_most: usize::MAX,
         };
         assert_eq!(growing, expected);
         let late = paper().refine_settings(false, (700, 1.0), 300, 70_000);

@@ -166,10 +166,6 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
         split_floor: 0.6,
         far_gain: 3.0,
         until: 0.7,
-        selection_weight: 0.05,
-        selection_every: 2,
-        selection_budget: 300,
-        selection_until: 0.9,
         ..params.densify
     };
     let on = |threads: usize, dir: Option<&std::path::Path>, stop_at: Option<u64>| {
@@ -184,9 +180,9 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
         .iter()
         .filter_map(|e| if let LogEntry::Refine { gaussians, .. } = e { Some(*gaussians) } else { None })
         .collect();
-    assert!(counts.iter().max() > Some(&300) && counts.last() == Some(&300), "{counts:?}");
+    assert!(counts.iter().max() > Some(&300), "{counts:?}");
     let dir = tempfile::tempdir().unwrap();
-    // In growth, and in selection.
+    // In growth, and after it.
     for step in [47, 83] {
         assert!(on(2, Some(dir.path()), Some(step)).is_err());
     }
