@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 
+use crate::density::Children;
 use crate::engine::GradientScale;
 
 /// The rules of density control.
@@ -18,17 +19,6 @@ pub enum Strategy {
     /// are removed after the first ceiling, and after growth. There is no pause, and no culling at the end.
     #[serde(rename = "3dgs")]
     Signed,
-}
-
-/// The places of the two children of a split.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum Children {
-    /// Both are drawn from the parent, and smaller than it by `shrink`.
-    #[default]
-    Drawn,
-    /// They stand on both sides of the parent's centre on its longest axis, shorter and fainter than it.
-    LongAxis,
 }
 
 /// The choice of the Gaussians that are split or duplicated.

@@ -288,7 +288,7 @@ mod tests {
 
     #[test]
     fn an_edge_counts_by_its_gradient_against_the_mean_one() {
-        // A step of light after two of four columns: the gradient is one in the middle columns, ½ in the mean.
+        // A step of light after two of four columns: the gradient is 1 in the middle columns, ½ in the mean.
         let step = Image::from_planes(4, 3, (0..36).map(|p| f32::from(p % 4 > 1)).collect()).unwrap();
         let photograph = step.to_8bit();
         let camera = view(&Image::new(64, 48), None).camera;

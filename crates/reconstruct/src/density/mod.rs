@@ -14,8 +14,8 @@
 //! a floor (the most opaque stay), and growth stops at a cap (the largest gradients first). New Gaussians
 //! start with zero moments.
 //!
-//! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of sizes
-//! and a gain behind water ([`Evidence`]), and a budget.
+//! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of
+//! sizes and a gain behind water ([`Evidence`]), and a budget.
 //!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
@@ -29,7 +29,7 @@ mod schedule;
 pub use evidence::Evidence;
 pub(crate) use evidence::GrowthViews;
 pub(crate) use noise::scatter;
-pub use rebuild::{Child, Draws, Origin, rebuilt};
+pub use rebuild::{Child, Children, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
 
 use use3d_numerics::math;
@@ -185,7 +185,6 @@ pub fn logit(p: f64) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Children;
     use crate::engine::zeros;
 
     const SETTINGS: RefineSettings = RefineSettings {

@@ -1,10 +1,10 @@
 //! Computes the rows of a refined scene.
 
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::Gaussians;
-
-use crate::Children;
 
 /// Distance of a child from its parent's centre in a split of the long axis, in lengths of that half axis.
 const APART: f64 = 0.45;
@@ -34,6 +34,17 @@ impl Origin {
             Self::Kept(i) | Self::Twin(i) | Self::Child(i, _) => i,
         }
     }
+}
+
+/// The places of the two children of a split.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Children {
+    /// Both are drawn from the parent, and smaller than it by `shrink`.
+    #[default]
+    Drawn,
+    /// They stand on both sides of the parent's centre on its longest axis, shorter and fainter than it.
+    LongAxis,
 }
 
 /// The parameters of a child that are not its parent's.
@@ -96,7 +107,8 @@ impl Draws {
                 let across = 0.5 * math::ln(1.0 - APART * APART) as f32;
                 let mut smaller = log_scales.map(|s| s + across);
                 smaller[long] = log_scales[long] + math::ln(1.0 - APART) as f32;
-                opacity_logit = super::logit(FAINTER / (1.0 + math::exp(-f64::from(opacity_logit))));
+                let opacity = FAINTER / (1.0 + math::exp(-f64::from(opacity_logit)));
+                opacity_logit = math::ln(opacity / (1.0 - opacity)) as f32;
                 (place, smaller)
             }
         };

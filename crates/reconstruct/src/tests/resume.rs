@@ -159,7 +159,7 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
     let (capture, loaded) = tiny_capture(7);
     let mut params = ReconstructParams { checkpoint_steps: 8, schedule: 100, ..tiny_params(100) };
     params.densify = crate::Densify {
-        split: crate::Children::LongAxis,
+        split: crate::density::Children::LongAxis,
         candidates: crate::Candidates::Error,
         views: 3,
         budget: 500,
