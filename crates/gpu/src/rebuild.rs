@@ -129,11 +129,16 @@ impl DeviceScene {
         if let Some(first) = rows.iter().position(|row| matches!(row, Origin::Child(..))) {
             let shape = |row: &Origin| {
                 let i = row.source();
-                let (mean, log_scales) = match *row {
-                    Origin::Child(parent, child) => draws.child(shapes, parent, child),
-                    Origin::Kept(i) | Origin::Twin(i) => (shapes.means[i], shapes.log_scales[i]),
+                let (mean, log_scales, opacity_logit) = match *row {
+                    Origin::Child(parent, child) => {
+                        let child = draws.child(shapes, parent, child);
+                        (child.mean, child.log_scales, child.opacity_logit)
+                    }
+                    Origin::Kept(i) | Origin::Twin(i) => {
+                        (shapes.means[i], shapes.log_scales[i], shapes.opacity_logits[i])
+                    }
                 };
-                Parameters::rows(mean, log_scales, shapes.quaternions[i], shapes.opacity_logits[i])
+                Parameters::rows(mean, log_scales, shapes.quaternions[i], opacity_logit)
             };
             let rows: Vec<Float4> = rows[first..].iter().flat_map(shape).collect();
             self.values.geometry.write(gpu, GEOMETRY * first, &rows);
@@ -157,7 +162,7 @@ mod tests {
     #[test]
     fn a_rebuilt_scene_is_the_processors_to_the_bit() {
         let Some(gpu) = software() else { return };
-        let draws = Draws { seed: 4, step: 300, shrink: 1.6 };
+        let draws = Draws { seed: 4, step: 300, shrink: 1.6, ..Draws::default() };
         let stream = Stream::new(8, Purpose::new("rows of a rebuilt scene"), 0);
         for (gpu, chunks) in [(gpu.clone(), 1), (gpu.binding(900_000), 2)] {
             let kernel = RebuildKernel::new(&gpu).unwrap();

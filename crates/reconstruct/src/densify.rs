@@ -4,6 +4,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use use3d_numerics::range::{OutOfRange, at_least, not_negative, positive, within};
 
+use crate::density::Children;
 use crate::engine::GradientScale;
 
 /// The rules of density control.
@@ -18,6 +19,18 @@ pub enum Strategy {
     /// are removed after the first ceiling, and after growth. There is no pause, and no culling at the end.
     #[serde(rename = "3dgs")]
     Signed,
+}
+
+/// The choice of the Gaussians that are split or duplicated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Candidates {
+    /// The mean screen gradient.
+    #[default]
+    Gradient,
+    /// The share of the errors of several rendered views, as many as `gradient` would choose, or as `budget`
+    /// leaves room for.
+    Error,
 }
 
 /// The rules by which Gaussians are added and removed (R9).
@@ -56,8 +69,28 @@ pub struct Densify {
     pub size_exponent: f64,
     /// Largest standard deviation up to which it is duplicated rather than split, scene units.
     pub split_scale: f64,
-    /// Factor by which the children of a split are smaller.
+    /// The places of the two children of a split.
+    pub split: Children,
+    /// Factor by which drawn children of a split are smaller.
     pub shrink: f64,
+    /// The choice of the Gaussians that are split or duplicated.
+    pub candidates: Candidates,
+    /// Number of training views that are rendered before a refinement, for `candidates`, `split_floor` and
+    /// `far_gain`.
+    pub views: usize,
+    /// Weight λ of edges in the errors of `candidates = "error"`: an error at a strong edge of the
+    /// photograph counts 1 + λ times.
+    pub edge_weight: f64,
+    /// Number of Gaussians at the end of growth, which follows the square root of the time until then. The
+    /// first candidates in their order are split or duplicated, whatever the thresholds. 0: the thresholds
+    /// decide on the number.
+    pub budget: usize,
+    /// Gaussians are not split or duplicated if the children's size on the screen, the geometric mean of
+    /// their standard deviations in pixels, would be below this in all rendered views. 0: any are.
+    pub split_floor: f64,
+    /// Gaussians behind water are pulled more, by one over the share of their light that arrives, but at most
+    /// by this factor. 1: all are pulled alike.
+    pub far_gain: f64,
     /// Gaussians below this opacity are removed while densifying.
     pub cull_opacity: f64,
     /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
@@ -102,7 +135,14 @@ impl Default for Densify {
             reference_pixels: 1400 * 933,
             size_exponent: 0.2,
             split_scale: 1e-3,
+            split: Children::Drawn,
             shrink: 1.3,
+            candidates: Candidates::Gradient,
+            views: 8,
+            edge_weight: 1.0,
+            budget: 0,
+            split_floor: 0.0,
+            far_gain: 1.0,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
             gentle_below: 2000,
@@ -145,6 +185,10 @@ impl Densify {
         share("densify.cull_opacity", d.cull_opacity)?;
         share("densify.cull_opacity_late", d.cull_opacity_late)?;
         share("densify.floor_share", d.floor_share)?;
+        at_least("densify.views", d.views as u64, 1)?;
+        not_negative("densify.edge_weight", d.edge_weight)?;
+        not_negative("densify.split_floor", d.split_floor)?;
+        within("densify.far_gain", d.far_gain, 1.0, 1000.0)?;
         positive("densify.gradient_threshold", d.gradient_threshold)?;
         not_negative("densify.split_threshold", d.split_threshold)?;
         share("densify.size_exponent", d.size_exponent)?;

@@ -37,7 +37,7 @@ mod window;
 
 pub use bounds::{CaptureSize, MemoryNeed, memory_need, most_gaussians};
 pub use colors::{ColorField, ColorState, ColorStep};
-pub use densify::{Densify, Strategy};
+pub use densify::{Candidates, Densify, Strategy};
 pub use error::ReconstructError;
 pub use exposure::{ExposureStep, Exposures};
 pub use found::{FoundWater, Known};

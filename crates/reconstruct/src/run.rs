@@ -22,7 +22,7 @@ use use3d_training::{
 use crate::bounds::most_gaussians;
 use crate::colors::ColorState;
 use crate::completion::Holes;
-use crate::density::{self, Draws, Refinement};
+use crate::density::{self, Draws, GrowthViews, Refinement};
 use crate::engine::{Degrees, Engine, Moments, Statistics, StepPlan, StepReport, TrainingState};
 use crate::fingerprint::fingerprint;
 use crate::hidden::Masks;
@@ -138,6 +138,7 @@ pub fn reconstruct(
     let masks = if params.hidden_below > 0.0 { Masks::new(&views.train) } else { Masks::default() };
     let completes = params.complete_at > 0 && params.depth_prior != DepthPrior::Off;
     let holes = if completes { Holes::new(&views.train) } else { Holes::default() };
+    let growth_views = GrowthViews::new(&views.train, &params.densify);
     let exposes = params.exposure == Exposure::PerView;
     let gain = |view: &usize| known.gains.get(*view).copied().unwrap_or([1.0; 3]);
     let gains: Vec<[f64; 3]> = capture.split.train.iter().map(gain).collect();
@@ -171,6 +172,7 @@ pub fn reconstruct(
         most,
         masks,
         holes,
+        growth_views,
         unit: if params.densify.strategy == Strategy::Signed { extent(&cameras) } else { 1.0 },
         cameras,
         cap_reported: false,
@@ -225,6 +227,8 @@ struct ReconstructRun<'a> {
     masks: Masks,
     /// The views in which holes are looked for.
     holes: Holes,
+    /// The views at which growth looks.
+    growth_views: GrowthViews,
     /// The cameras of the training views.
     cameras: Vec<Camera>,
     /// The length in which density control and the rate of centres count, scene units.
@@ -524,8 +528,7 @@ impl ReconstructRun<'_> {
         let rows = self.masks.shown(&self.engine.save()?.gaussians, self.params.hidden_below);
         let removed = self.gaussians - rows.len();
         if removed > 0 && !rows.is_empty() {
-            let draws = Draws { seed: self.params.seed, step: self.step, shrink: self.params.densify.shrink };
-            self.engine.rebuild(&rows, &draws)?;
+            self.engine.rebuild(&rows, &self.draws())?;
             self.gaussians = rows.len();
             observer.notice(&format!(
                 "removed {removed} Gaussians that masks hide from all training views (`hidden_below`)"
@@ -546,12 +549,24 @@ impl ReconstructRun<'_> {
         Ok(())
     }
 
+    /// The rule for children after this step.
+    fn draws(&self) -> Draws {
+        let d = &self.params.densify;
+        Draws { split: d.split, seed: self.params.seed, step: self.step, shrink: d.shrink }
+    }
+
     /// Adds and removes Gaussians.
     fn refine(&mut self, growing: bool, observer: &mut dyn Observer) -> Result<(), ReconstructError> {
-        let (params, d) = (self.params, &self.params.densify);
+        let (params, d, draws) = (self.params, &self.params.densify, self.draws());
         let settings = params.refine_settings(growing, (self.step, self.unit), self.initial, self.most);
-        let (rows, report) = density::plan(&self.engine.survey()?, &settings);
-        self.engine.rebuild(&rows, &Draws { seed: params.seed, step: self.step, shrink: d.shrink })?;
+        let mut survey = self.engine.survey()?;
+        if growing && d.looks() {
+            self.drain(Drain::All)?;
+            let degrees = self.degrees(self.step);
+            survey.evidence = self.growth_views.evidence(&*self.engine.save()?, degrees, d, &draws);
+        }
+        let (rows, report) = density::plan(&survey, &settings);
+        self.engine.rebuild(&rows, &draws)?;
         self.gaussians = rows.len();
         if d.reset_medium && growing {
             self.engine.forget_water_moments()?;

@@ -192,7 +192,7 @@ fn requests_between_steps_are_the_processors() {
     ours.load(start).unwrap();
     assert!(ours.survey().unwrap() == cpu.survey().unwrap());
     let rows = [Origin::Kept(3), Origin::Kept(0), Origin::Twin(5), Origin::Child(7, 0), Origin::Child(7, 1)];
-    let draws = Draws { seed: 1, step: 2, shrink: 1.6 };
+    let draws = Draws { seed: 1, step: 2, shrink: 1.6, ..Draws::default() };
     for engine in [&mut ours as &mut dyn Engine, &mut cpu] {
         engine.rebuild(&rows, &draws).unwrap();
         engine.limit_opacity(0.3).unwrap();
@@ -226,7 +226,7 @@ fn what_a_survey_read_counts_for_nothing_once_the_scene_is_another() {
                 _ => ours.limit_opacity(0.3).unwrap(),
             }
         }
-        let draws = Draws { seed: 1, step: 2, shrink: 1.6 };
+        let draws = Draws { seed: 1, step: 2, shrink: 1.6, ..Draws::default() };
         ours.rebuild(&[Origin::Child(7, 0), Origin::Twin(5)], &draws).unwrap();
         ours.save().unwrap().into_owned()
     };
@@ -316,7 +316,10 @@ fn what_no_binding_holds_is_refused_with_its_size() {
     // The former state is still there.
     ours.load(state(18_750, 0.5)).unwrap();
     let rows: Vec<_> = (0..18_750).chain([3]).map(Origin::Kept).collect();
-    let refused = ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap_err().to_string();
+    let refused = ours
+        .rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6, ..Draws::default() })
+        .unwrap_err()
+        .to_string();
     assert!(refused.contains("18751 Gaussians") && refused.contains("max_gaussians"), "{refused}");
     assert_eq!(ours.save().unwrap().gaussians.len(), 18_750);
     ours.load(state(2600, 0.5)).unwrap();
@@ -338,7 +341,7 @@ fn gaussians_in_several_chunks_are_trained_as_in_one() {
             ours.step(step as usize, &plan(step)).unwrap();
         }
         let rows: Vec<_> = (0..9000).map(Origin::Kept).chain((0..400).map(Origin::Twin)).collect();
-        ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6 }).unwrap();
+        ours.rebuild(&rows, &Draws { seed: 1, step: 2, shrink: 1.6, ..Draws::default() }).unwrap();
         ours.limit_opacity(0.3).unwrap();
         ours.step(1, &StepPlan { divisor: 1, ..plan(3) }).unwrap();
         let reports = ours.drain(Drain::All).unwrap();

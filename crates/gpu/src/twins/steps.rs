@@ -35,7 +35,7 @@ pub fn step(engine: &mut dyn Engine, scene: &SceneSize) -> Result<Vec<Agreement>
     let n = scene.gaussians;
     let row = |i: usize| [Origin::Kept(i), Origin::Twin(i), Origin::Child(i, 0), Origin::Child(i, 1)];
     let rows: Vec<Origin> = (0..n).rev().flat_map(|i| row(i).into_iter().take(1 + i % 4)).collect();
-    let draws = Draws { seed: scene.seed, step: 100, shrink: 1.6 };
+    let draws = Draws { seed: scene.seed, step: 100, shrink: 1.6, ..Draws::default() };
     ours.rebuild(&rows, &draws)?;
     engine.rebuild(&rows, &draws)?;
     let (found, expected) = (engine.save()?, ours.save()?);

@@ -235,7 +235,7 @@ fn refine(engine: &mut Stage1, scene: &SceneSize) -> Result<f64, EngineError> {
     let rows: Vec<Origin> = kept.chain(children).collect();
     let started = Instant::now();
     engine.survey()?;
-    engine.rebuild(&rows, &Draws { seed: scene.seed, step: 100, shrink: 1.6 })?;
+    engine.rebuild(&rows, &Draws { seed: scene.seed, step: 100, shrink: 1.6, ..Draws::default() })?;
     Ok(1e3 * started.elapsed().as_secs_f64())
 }
 

@@ -14,16 +14,22 @@
 //! a floor (the most opaque stay), and growth stops at a cap (the largest gradients first). New Gaussians
 //! start with zero moments.
 //!
+//! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of
+//! sizes and a gain behind water ([`Evidence`]), and a budget.
+//!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
 //! may call `rebuilt` or do the same where its arrays are.
 
+mod evidence;
 mod noise;
 mod rebuild;
 mod schedule;
 
+pub use evidence::Evidence;
+pub(crate) use evidence::GrowthViews;
 pub(crate) use noise::scatter;
-pub use rebuild::{Draws, Origin, rebuilt};
+pub use rebuild::{Child, Children, Draws, Origin, rebuilt};
 pub(crate) use schedule::Refinement;
 
 use use3d_numerics::math;
@@ -40,6 +46,8 @@ pub struct Survey {
     pub log_sizes: Vec<f32>,
     /// Screen gradients since the last refinement.
     pub statistics: Statistics,
+    /// What several views show, if a rule looks at them.
+    pub evidence: Evidence,
 }
 
 impl Survey {
@@ -49,6 +57,7 @@ impl Survey {
             opacity_logits: gaussians.opacity_logits.clone(),
             log_sizes: gaussians.log_scales.iter().map(|s| s[0].max(s[1]).max(s[2])).collect(),
             statistics: statistics.clone(),
+            evidence: Evidence::default(),
         }
     }
 }
@@ -77,6 +86,8 @@ pub struct RefineSettings {
     pub floor: usize,
     /// Growth leaves at most this many Gaussians.
     pub most: usize,
+    /// The number of Gaussians to which a scene grows, whatever the thresholds.
+    pub budget: Option<usize>,
 }
 
 /// The result of a refinement.
@@ -97,16 +108,17 @@ pub struct RefineReport {
 /// Computes the rows of the refined scene: survivors in their order, then twins and children in the order
 /// of their parents. All arrays of `survey` have the same length.
 pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineReport) {
-    let Survey { opacity_logits, log_sizes, statistics } = survey;
+    let Survey { opacity_logits, log_sizes, statistics, evidence } = survey;
     let n = opacity_logits.len();
     let mut report = RefineReport::default();
     let largest = |i: usize| math::exp(f64::from(log_sizes[i]));
     let faint = logit(settings.cull_opacity);
     let wide = |i: usize| largest(i) > settings.split_scale;
     // In units of the threshold of duplicates, so that splits and duplicates can be compared.
+    let gain = |i: usize| evidence.gains.get(i).map_or(1.0, |gain| f64::from(*gain));
     let pull = |i: usize| match settings.split_threshold {
-        Some(split) if wide(i) => statistics.absolute_mean(i) * settings.gradient_threshold / split,
-        _ => statistics.mean(i),
+        Some(split) if wide(i) => gain(i) * statistics.absolute_mean(i) * settings.gradient_threshold / split,
+        _ => gain(i) * statistics.mean(i),
     };
     let pulled = |i: usize| pull(i) > settings.gradient_threshold;
     let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
@@ -132,14 +144,22 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
 
     let mut grow = vec![false; n];
     if settings.grow {
-        let mut pulled: Vec<usize> = (0..n).filter(|&i| keep[i] && pulled(i)).collect();
-        let room = settings.most.saturating_sub(survivors);
-        if pulled.len() > room {
-            report.held_back = pulled.len() - room;
-            pulled.sort_by(|&a, &b| pull(b).total_cmp(&pull(a)).then(a.cmp(&b)));
-            pulled.truncate(room);
+        let may = |i: usize| keep[i] && !evidence.too_small.get(i).is_some_and(|small| *small);
+        let rank = |i: usize| evidence.scores.get(i).map_or_else(|| pull(i), |s| gain(i) * f64::from(*s));
+        let wanted = match settings.budget {
+            Some(budget) => budget.saturating_sub(survivors),
+            None => (0..n).filter(|&i| may(i) && pulled(i)).count(),
+        };
+        let ranked = settings.budget.is_some() || !evidence.scores.is_empty();
+        let candidate = |i: usize| may(i) && if ranked { rank(i) > 0.0 } else { pulled(i) };
+        let mut chosen: Vec<usize> = (0..n).filter(|&i| candidate(i)).collect();
+        let (wanted, room) = (wanted.min(chosen.len()), settings.most.saturating_sub(survivors));
+        report.held_back = wanted.saturating_sub(room);
+        if chosen.len() > wanted.min(room) {
+            chosen.sort_by(|&a, &b| rank(b).total_cmp(&rank(a)).then(a.cmp(&b)));
+            chosen.truncate(wanted.min(room));
         }
-        for i in pulled {
+        for i in chosen {
             grow[i] = true;
         }
     }
@@ -178,8 +198,9 @@ mod tests {
         after_growth: None,
         floor: 2,
         most: 1000,
+        budget: None,
     };
-    const DRAWS: Draws = Draws { seed: 1, step: 700, shrink: 1.6 };
+    const DRAWS: Draws = Draws { split: Children::Drawn, seed: 1, step: 700, shrink: 1.6 };
 
     /// Gaussians from rows of (opacity logit, standard deviation, mean screen gradient).
     fn scene(rows: &[(f32, f32, f32)]) -> (Gaussians, Survey) {
@@ -284,6 +305,64 @@ mod tests {
         assert_eq!((report.split, report.duplicated), (1, 1));
         let (rows, _) = plan(&s, &RefineSettings { split_threshold: Some(5.1e-4), ..settings });
         assert_eq!(rows, [Kept(0), Kept(1), Kept(2), Kept(3), Twin(2)]);
+    }
+
+    #[test]
+    fn a_budget_takes_the_first_candidates_whatever_the_threshold() {
+        use Origin::*;
+        let (_, mut s) = scene(&[(2.0, 1e-4, 1e-5), (2.0, 1e-4, 3e-5), (2.0, 1e-4, 2e-5), (2.0, 1e-4, 0.0)]);
+        let to = |budget| RefineSettings { budget: Some(budget), ..SETTINGS };
+        let born = |s: &Survey, settings: &RefineSettings| -> Vec<Origin> {
+            plan(s, settings).0.into_iter().filter(|row| !matches!(row, Kept(_))).collect()
+        };
+        assert_eq!(born(&s, &to(6)), [Twin(1), Twin(2)]);
+        assert_eq!(born(&s, &to(3)), []);
+        assert_eq!(born(&s, &to(90)), [Twin(0), Twin(1), Twin(2)], "the last one was not seen");
+        let (rows, report) = plan(&s, &RefineSettings { most: 5, ..to(6) });
+        assert_eq!((rows.len(), report.held_back), (5, 1));
+        // What is far counts more, and what the screen does not resolve is left alone.
+        s.evidence.gains = vec![3.0, 1.0, 1.4, 1.0];
+        assert_eq!(born(&s, &to(6)), [Twin(0), Twin(1)]);
+        s.evidence.too_small = vec![true, false, false, false];
+        assert_eq!(born(&s, &to(6)), [Twin(1), Twin(2)]);
+    }
+
+    #[test]
+    fn errors_choose_as_many_as_the_gradient_would() {
+        use Origin::*;
+        let (_, mut s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 0.0), (2.0, 1e-4, 9e-4), (2.0, 1e-4, 0.0)]);
+        s.evidence.scores = vec![0.1, 0.4, 0.2, 0.3];
+        assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(1), Twin(3)]);
+        s.evidence.gains = vec![5.0, 1.0, 1.0, 1.0];
+        assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(0), Twin(1)]);
+    }
+
+    #[test]
+    fn children_on_the_long_axis_end_where_their_parent_ends() {
+        let (mut g, s) = scene(&[(2.0, 0.1, 1.0)]);
+        // The long axis is the second one; a quarter turn about z lays it along −x.
+        g.log_scales[0] = [math::ln(0.02f32), math::ln(0.1f32), math::ln(0.03f32)];
+        g.quaternions[0] = [1.0, 0.0, 0.0, 1.0];
+        let (rows, _) = plan(&s, &RefineSettings { floor: 0, ..SETTINGS });
+        let children = rebuilt(&g, &rows, &Draws { split: Children::LongAxis, ..DRAWS });
+        assert_eq!(children.len(), 2);
+        for (i, side) in [(0, 1.0f32), (1, -1.0)] {
+            let [x, y, z] = children.means[i];
+            let scales = children.log_scales[i].map(math::exp);
+            assert!(
+                (x - side * 0.135).abs() < 1e-6 && y.abs() < 1e-6 && z.abs() < 1e-6,
+                "{:?}",
+                children.means
+            );
+            // Three standard deviations of the child end at three of the parent: 0.3.
+            assert!((x.abs() + 3.0 * scales[1] - 0.3).abs() < 1e-6, "{scales:?}");
+            let section = (1.0f32 - 0.45 * 0.45).sqrt();
+            assert!((scales[0] - 0.02 * section).abs() < 1e-7 && (scales[2] - 0.03 * section).abs() < 1e-7);
+            let opacity = |logit: f32| 1.0 / (1.0 + math::exp(-logit));
+            assert!((opacity(children.opacity_logits[i]) - 0.6 * opacity(2.0)).abs() < 1e-6);
+        }
+        let on_screen = Draws { split: Children::LongAxis, ..DRAWS }.shrinkage();
+        assert!((on_screen - 1.0 / (0.55f64 * (1.0f64 - 0.2025).sqrt()).sqrt()).abs() < 1e-12);
     }
 
     #[test]

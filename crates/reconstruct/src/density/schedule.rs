@@ -53,6 +53,13 @@ impl ReconstructParams {
         DensityWork { refinement, ceiling }
     }
 
+    /// The number of Gaussians to which a scene has grown after `step`.
+    fn budget(&self, step: u64) -> Option<usize> {
+        let (from, until) = (self.warm_up() as f64, self.densify_end() as f64);
+        let share = ((step as f64 - from) / (until - from).max(1.0)).clamp(0.0, 1.0);
+        (self.densify.budget > 0).then(|| (share.sqrt() * self.densify.budget as f64) as usize)
+    }
+
     /// The settings of a refinement after `step` of a scene that began with `initial` Gaussians and may have
     /// `most`. Sizes are in units of `unit`.
     pub(crate) fn refine_settings(
@@ -77,6 +84,7 @@ impl ReconstructParams {
             after_growth: signed.then_some(d.shrink),
             floor: d.floor.max((d.floor_share * initial as f64) as usize),
             most,
+            budget: self.budget(step),
         }
     }
 }
@@ -181,6 +189,16 @@ mod tests {
     }
 
     #[test]
+    fn a_budget_follows_the_root_of_the_time() {
+        let mut params = paper();
+        params.densify.budget = 40_000;
+        let budget = |step| params.refine_settings(true, (step, 1.0), 300, 70_000).budget;
+        assert_eq!([600, 2950, 10_000].map(budget), [Some(0), Some(20_000), Some(40_000)]);
+        params.densify.budget = 0;
+        assert_eq!(params.refine_settings(true, (2950, 1.0), 300, 70_000).budget, None);
+    }
+
+    #[test]
     fn faint_gaussians_are_removed_below_a_half_while_growing_and_below_a_tenth_afterwards() {
         let growing = paper().refine_settings(true, (700, 1.0), 5000, 70_000);
         let expected = RefineSettings {
@@ -194,6 +212,7 @@ mod tests {
             after_growth: None,
             floor: 500,
             most: 70_000,
+            budget: None,
         };
         assert_eq!(growing, expected);
         let late = paper().refine_settings(false, (700, 1.0), 300, 70_000);

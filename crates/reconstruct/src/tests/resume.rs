@@ -155,6 +155,41 @@ fn the_same_scene_on_any_number_of_threads_and_after_any_interruption() {
 }
 
 #[test]
+fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_an_interruption() {
+    let (capture, loaded) = tiny_capture(7);
+    let mut params = ReconstructParams { checkpoint_steps: 8, schedule: 100, ..tiny_params(100) };
+    params.densify = crate::Densify {
+        split: crate::density::Children::LongAxis,
+        candidates: crate::Candidates::Error,
+        views: 3,
+        budget: 500,
+        split_floor: 0.6,
+        far_gain: 3.0,
+        until: 0.7,
+        ..params.densify
+    };
+    let on = |threads: usize, dir: Option<&std::path::Path>, stop_at: Option<u64>| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut observer = StoppingObserver { stop_at, ..StoppingObserver::default() };
+        pool.install(|| reconstruct(&capture, &loader(&loaded), &params, dir, &mut observer))
+    };
+    let whole = on(1, None, None).unwrap();
+    assert!(same(&whole, &on(3, None, None).unwrap()), "threads change the scene");
+    let counts: Vec<usize> = whole
+        .log
+        .iter()
+        .filter_map(|e| if let LogEntry::Refine { gaussians, .. } = e { Some(*gaussians) } else { None })
+        .collect();
+    assert!(counts.iter().max() > Some(&300), "{counts:?}");
+    let dir = tempfile::tempdir().unwrap();
+    // In growth, and after it.
+    for step in [47, 83] {
+        assert!(on(2, Some(dir.path()), Some(step)).is_err());
+    }
+    assert!(same(&whole, &on(2, Some(dir.path()), None).unwrap()), "interruptions change the scene");
+}
+
+#[test]
 fn going_on_from_the_end_of_a_shorter_run_leaves_no_trace_of_that_end() {
     let (capture, loaded) = tiny_capture(6);
     // The shorter run ends between two lines of the log, and on a step at which a longer one is evaluated.

@@ -97,6 +97,15 @@ impl Prepared {
         }
     }
 
+    /// Raises the size of every visible Gaussian to the one in this view: the geometric mean of the standard
+    /// deviations of its ellipse, in pixels. One entry per Gaussian.
+    pub fn raise_sizes(&self, sizes: &mut [f32]) {
+        for splat in &self.splats {
+            let size = &mut sizes[splat.index as usize];
+            *size = size.max(splat.mean_deviation());
+        }
+    }
+
     /// Number of (tile, Gaussian) pairs in the lists.
     pub fn entries(&self) -> usize {
         self.tile_rows.iter().map(|r| r.entries.len()).sum()

@@ -45,12 +45,22 @@ pub(crate) struct Splat {
 impl Splat {
     /// Standard deviation along the longest axis of the ellipse, pixels.
     pub(crate) fn deviation(&self) -> f32 {
-        // The inverse of `splat_of`: cov_yy, cov_xy and the determinant of the covariance.
-        let half = 0.5 * std::f32::consts::LOG2_E;
-        let yy = half / self.steepness_y;
-        let (xy, det) = (-self.shear * yy, half * yy / self.steepness);
+        let (yy, det) = self.covariance();
+        let xy = -self.shear * yy;
         let middle = 0.5 * ((det + xy * xy) / yy + yy);
         (middle + (middle * middle - det).max(0.0).sqrt()).sqrt()
+    }
+
+    /// Geometric mean of the ellipse's two standard deviations, pixels.
+    pub(crate) fn mean_deviation(&self) -> f32 {
+        self.covariance().1.sqrt().sqrt()
+    }
+
+    /// `cov_yy` and the determinant of the covariance: the inverse of `splat_of`.
+    fn covariance(&self) -> (f32, f32) {
+        let half = 0.5 * std::f32::consts::LOG2_E;
+        let yy = half / self.steepness_y;
+        (yy, half * yy / self.steepness)
     }
 }
 
