@@ -31,6 +31,7 @@ mod ssim;
 mod uciqe;
 mod uiqm;
 mod warp;
+mod windows;
 
 pub use affine::{ColourMap, affine_fit, map_colours};
 pub use ciede2000::{ciede2000, delta_e_of_lab, mean_ciede2000};
