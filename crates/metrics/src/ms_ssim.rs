@@ -307,6 +307,7 @@ mod tests {
             (61, 47, &RECONSTRUCTION_WEIGHTS[..]),
             (11, 130, &RECONSTRUCTION_WEIGHTS[..]),
             (33, 12, &STANDARD_WEIGHTS[..]),
+            (175, 99, &RECONSTRUCTION_WEIGHTS[..]),
         ] {
             let (x, y) = pair(1, w, h);
             let exact = plain(&x, &y, weights);
@@ -319,7 +320,7 @@ mod tests {
 
     #[test]
     fn the_gradient_agrees_with_finite_differences_of_the_definition() {
-        for (seed, w, h) in [(2, 27, 31), (3, 48, 26), (4, 45, 45)] {
+        for (seed, w, h) in [(2, 27, 31), (3, 48, 26), (4, 45, 45), (5, 171, 24), (6, 24, 205)] {
             let (x, y) = pair(seed, w, h);
             let stream = Stream::new(seed, Purpose::new("ms-ssim probes"), 0);
             let mut gradient = Image::new(1, 1);

@@ -20,8 +20,8 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 use use3d_capture::Image;
+use use3d_numerics::math;
 use use3d_numerics::rows::{LANES, load, store};
-use use3d_numerics::{lanes, math};
 
 /// Number of taps of the window.
 pub const WINDOW: usize = 11;
@@ -329,7 +329,7 @@ impl<P: Pair> Scale<'_, P> {
                 before[q].store_slice(&mut end.derivatives[below][q]);
             }
         }
-        f64::from(lanes::sum(&sum.to_array()))
+        sum.as_slice().iter().map(|v| f64::from(*v)).sum()
     }
 
     /// The value of a window, and its derivatives with respect to the means of x, of x² + y², of x y.

@@ -25,7 +25,6 @@ use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
 use use3d_capture::{Image, Map};
 use use3d_metrics::ms_ssim::{MsSsim, Pair, RECONSTRUCTION_WEIGHTS};
-use use3d_numerics::lanes::sum as sum_of_lanes;
 use use3d_numerics::rows::{LANES, load, store};
 use use3d_numerics::sums::sum;
 
@@ -80,6 +79,9 @@ fn chosen(params: &ReconstructParams, step: u64) -> Photometric {
 
 /// `ε` of the weight.
 const EPSILON: f32 = 1e-3;
+/// The offset of images without a weight, which keeps their variances from cancelling.
+const CENTER: f32 = 0.5;
+
 /// The values of one evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PhotometricValue {
@@ -169,7 +171,8 @@ fn weighed<const RELATIVE: bool>(
     gradient: &mut Image,
 ) -> (f64, Vec<[f64; 2]>) {
     let pair = Weighed::<'_, RELATIVE> { images, mask };
-    let (offset, level) = (if RELATIVE { 1.0 } else { 0.0 }, Level::new());
+    let offset = if RELATIVE { 1.0 } else { CENTER };
+    let level = Level::new();
     measure.of_pair(
         &pair,
         offset,
@@ -199,7 +202,7 @@ impl Term for PhotometricLoss {
 }
 
 /// Prediction and target as the structure measure reads them: `x = W Î − 1` and `y = W I − 1`. Without a
-/// weight, `x = Î` and `y = I`.
+/// weight, `x = Î − ½` and `y = I − ½`.
 struct Weighed<'a, const RELATIVE: bool> {
     images: [&'a Image; 2],
     mask: Option<&'a Map>,
@@ -233,7 +236,7 @@ impl<const RELATIVE: bool> Weighed<'_, RELATIVE> {
             let slope = load(simd, g, i).mul_add(structure, sign);
             store(w * slope, g, i);
         }
-        [f64::from(sum_of_lanes(&far.to_array())), f64::from(sum_of_lanes(&squared.to_array()))]
+        [far, squared].map(|sums| sums.as_slice().iter().map(|v| f64::from(*v)).sum())
     }
 }
 
@@ -276,7 +279,7 @@ impl<const RELATIVE: bool> Pair for Weighed<'_, RELATIVE> {
     {
         let [p, t, w] = weighed_lanes::<_, RELATIVE>(simd, row, from);
         if !RELATIVE {
-            return [p, t];
+            return [p - CENTER, t - CENTER];
         }
         let from_one = w * -EPSILON;
         [from_one, w.mul_add(t - p, from_one)]
