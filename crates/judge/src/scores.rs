@@ -9,8 +9,9 @@ pub use use3d_metrics::{Finite, Score};
 
 use crate::truth::WaterScores;
 
-/// Scores by metric name (`psnr`, `ssim`, `lpips`, `uciqe`, `uiqm`, `uranker`, `musiq`, `wlpips`,
-/// `w_delta_e`, `w_ssim`, `coverage`, `path_wlpips`, …, `truth_psnr`, `truth_delta_e`, `depth_error`, …).
+/// Scores by metric name (`psnr`, `ssim`, `lpips`, `edge_width`, `uciqe`, `uiqm`, `uranker`, `musiq`,
+/// `wlpips`, `w_delta_e`, `w_ssim`, `coverage`, `path_wlpips`, …, `truth_psnr`, `truth_delta_e`,
+/// `depth_error`, …).
 pub type Scores = BTreeMap<String, Score>;
 
 /// The methods whose images are scored.

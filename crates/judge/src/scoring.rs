@@ -2,9 +2,10 @@
 //! reason.
 //!
 //! With a mask, only the pixels inside it count ([`use3d_metrics::Mask`]): PSNR and UCIQE use these pixels,
-//! SSIM the windows that contain no others. UIQM, URanker and MUSIQ judge whole pictures; the pixels outside
-//! the mask are black, in the pictures of all methods alike. LPIPS gets the same pictures and is divided by
-//! the share of pixels inside the mask, because its mean runs over all pixels.
+//! SSIM the windows that contain no others, and edge widths the edges around which all pixels are inside.
+//! UIQM, URanker and MUSIQ judge whole pictures; the pixels outside the mask are black, in the pictures of
+//! all methods alike. LPIPS gets the same pictures and is divided by the share of pixels inside the mask,
+//! because its mean runs over all pixels.
 
 use std::borrow::Cow;
 use std::path::Path;
@@ -12,8 +13,8 @@ use std::sync::Arc;
 
 use use3d_capture::{Camera, Image, Map};
 use use3d_metrics::{
-    Flow, GeometricView, Mask, MetricError, blacked_out, counted, geometric_warp, only_counted, psnr, share,
-    ssim, uciqe, uiqm, warped_delta_e, warped_ssim,
+    EdgeWidth, Flow, GeometricView, Mask, MetricError, StepEdges, blacked_out, counted, geometric_warp,
+    only_counted, psnr, share, ssim, uciqe, uiqm, warped_delta_e, warped_ssim,
 };
 use use3d_nets::{Models, NetError, limit_long_side};
 
@@ -154,6 +155,16 @@ impl Judges {
         let scores = [("uciqe", uciqe), ("uiqm", uiqm), ("uranker", uranker), ("musiq", musiq)];
         scores.map(|(name, score)| (name.to_string(), score)).into()
     }
+}
+
+/// `edge_width` and `lost_edges` of an image, by the step edges of the photograph of its view.
+pub fn edge_scores(edges: &Result<StepEdges, MetricError>, image: &Image) -> Scores {
+    let found = edges.as_ref().map_err(MetricError::clone).and_then(|edges| edges.in_render(&clamped(image)));
+    let of =
+        |value: fn(&EdgeWidth) -> f64| Score::measured(found.as_ref().map(value).map_err(MetricError::clone));
+    [("edge_width", of(|found| found.ratio)), ("lost_edges", of(|found| found.lost))]
+        .map(|(name, score)| (name.to_string(), score))
+        .into()
 }
 
 /// The score that a network gives, or the reason why there is none.

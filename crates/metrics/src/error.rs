@@ -57,6 +57,14 @@ pub enum MetricError {
         /// Side of its windows.
         side: usize,
     },
+    /// The photograph has too few straight step edges.
+    #[error("the photograph has {found} straight step edges; a width needs at least {least}")]
+    FewEdges {
+        /// Edges found.
+        found: usize,
+        /// Edges needed.
+        least: usize,
+    },
     /// The two views show different things.
     #[error("the two views see nothing in common")]
     NothingInCommon,

@@ -5,7 +5,7 @@
 //! are display-referred RGB in `[0, 1]`.
 //!
 //! * With a reference: [`psnr`], [`psnr_exposure_fitted`], [`affine_fit`], [`fitted_on_other_half`],
-//!   [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`].
+//!   [`ssim`], [`ms_ssim`], [`ciede2000`], [`mean_cie1976`], [`StepEdges`].
 //! * Without a reference: [`uciqe`], [`uiqm`].
 //! * Between views: [`warped_distance`] (flow), [`warped_delta_e`], [`warped_ssim`] (depth).
 //!
@@ -18,6 +18,7 @@
 mod affine;
 mod ciede2000;
 mod consistency;
+mod edges;
 mod error;
 #[cfg(test)]
 mod golden_tests;
@@ -31,12 +32,14 @@ mod ssim;
 mod uciqe;
 mod uiqm;
 mod warp;
+mod windows;
 
 pub use affine::{ColourMap, affine_fit, map_colours};
 pub use ciede2000::{ciede2000, delta_e_of_lab, mean_ciede2000};
 pub use consistency::{
     Consistency, GeometricView, geometric_warp, warped_delta_e, warped_distance, warped_ssim,
 };
+pub use edges::{EdgeWidth, StepEdge, StepEdges};
 pub use error::MetricError;
 pub use halves::fitted_on_other_half;
 pub use lab::{lab_of_srgb, mean_cie1976};

@@ -75,6 +75,7 @@ impl Score {
                 e @ (MetricError::Equal
                 | MetricError::NothingCounts
                 | MetricError::NoWindow { .. }
+                | MetricError::FewEdges { .. }
                 | MetricError::NothingInCommon),
             ) => Self::Undefined(e.to_string()),
             Err(e) => Self::NotAvailable(e.to_string()),

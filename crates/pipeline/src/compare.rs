@@ -25,10 +25,11 @@ use crate::results::STAMPED;
 /// Most views of a scene that the page shows.
 const VIEWS: usize = 12;
 /// The compared scores: metric, column head, better direction, decimals.
-const METRICS: [(&str, &str, Better, usize); 7] = [
+const METRICS: [(&str, &str, Better, usize); 8] = [
     ("psnr", "PSNR", Better::Higher, 2),
     ("ssim", "SSIM", Better::Higher, 3),
     ("lpips", "LPIPS", Better::Lower, 3),
+    ("edge_width", "edge width", Better::Lower, 2),
     ("w_delta_e", "ΔE between neighbours", Better::Lower, 2),
     ("uciqe", "UCIQE", Better::Neither, 3),
     ("truth_psnr", "PSNR against the truth", Better::Higher, 2),

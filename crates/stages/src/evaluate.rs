@@ -25,7 +25,7 @@ use use3d_atc::proposers::Proposer;
 use use3d_capture::{Appearance, Camera, Capture, Image, Map, View};
 use use3d_import::{ImageSize, load_pixels};
 use use3d_io_image::{read_image, write_png};
-use use3d_metrics::{Mask, share};
+use use3d_metrics::{Mask, StepEdges, share};
 use use3d_numerics::range::within;
 use use3d_render::{Mode, Rendering, SceneRenderer, cover};
 use use3d_scene::Scene;
@@ -46,7 +46,7 @@ use crate::parts::visits::each_once;
 use use3d_judge::scores::{
     self, Finite, Method, MethodScores, PairScores, SceneScores, SceneSpeed, Scores, ViewScores, Warp,
 };
-use use3d_judge::scoring::{ComparedView, Judges, Pairing};
+use use3d_judge::scoring::{ComparedView, Judges, Pairing, edge_scores};
 use use3d_judge::speed;
 use use3d_judge::strip::{Strip, StripRow, StripView, choose, sheet};
 use use3d_judge::truth::{Truth, files};
@@ -514,6 +514,7 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
             folder(&true_views)?;
             write_png(&proposal_of(&true_views, view), &truth.clean)?;
         }
+        let edges = now.of(Method::Captured).map(|captured| StepEdges::of(captured, mask.as_ref()));
         for (method, image) in now.images.iter().chain(&photograph) {
             let known = evaluation.baseline.views.get(&*view.name).and_then(|known| known.get(method));
             let mut scores = known.cloned().unwrap_or_else(|| {
@@ -523,6 +524,9 @@ fn run(context: &StageContext, params: &Params) -> Result<(), StageError> {
                 }
                 scores
             });
+            if let (true, Some(edges)) = (*method != Method::Captured, &edges) {
+                scores.extend(edge_scores(edges, image));
+            }
             if let Some(truth) = &true_view {
                 if *method == learnt && knows_depth {
                     scores.insert("depth_error".into(), truth.depth_error(&now.depth, scale));

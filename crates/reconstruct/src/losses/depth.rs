@@ -9,6 +9,7 @@
 //! `Pearson = mean(a b) / max(std a · std b, 1e-6)` of centred values with population moments. The factor
 //! 10 assumes a normalised scene.
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
 use use3d_capture::Map;
 
@@ -40,8 +41,12 @@ impl DepthPriorLoss {
     pub fn evaluate(self, depth: &Map, prior: &Map, weight: f64, gradient: &mut Map) -> f64 {
         gradient.resize(depth.width(), depth.height());
         let (depth, prior) = (depth.data(), prior.data());
-        let partial: Vec<[f64; 6]> =
-            depth.par_chunks(BLOCK).zip(prior.par_chunks(BLOCK)).map(|(d, p)| moments(d, p)).collect();
+        let level = Level::new();
+        let partial: Vec<[f64; 6]> = depth
+            .par_chunks(BLOCK)
+            .zip(prior.par_chunks(BLOCK))
+            .map(|(d, p)| dispatch!(level, _simd => moments(d, p)))
+            .collect();
         let mut total = [0.0; 6];
         for block in &partial {
             for (t, v) in total.iter_mut().zip(block) {
@@ -70,7 +75,7 @@ impl DepthPriorLoss {
             .data_mut()
             .par_chunks_mut(BLOCK)
             .zip(depth.par_chunks(BLOCK).zip(prior.par_chunks(BLOCK)))
-            .for_each(|(g, (d, p))| backward(g, d, p, constants));
+            .for_each(|(g, (d, p))| dispatch!(level, _simd => backward(g, d, p, constants)));
         1.0 - correlation
     }
 }
@@ -103,6 +108,7 @@ pub(super) fn known(depth: f32, prior: f32) -> bool {
 }
 
 /// Count, Σd, Σp, Σd², Σp², Σdp of a block, eight interleaved sums each.
+#[inline(always)]
 fn moments(depth: &[f32], prior: &[f32]) -> [f64; 6] {
     const WAYS: usize = 8;
     let mut sums = [[0.0f64; WAYS]; 6];
@@ -126,6 +132,7 @@ fn moments(depth: &[f32], prior: &[f32]) -> [f64; 6] {
     sums.map(|ways| ways.iter().sum())
 }
 
+#[inline(always)]
 fn backward(gradient: &mut [f32], depth: &[f32], prior: &[f32], [own, mean_d, other, mean_p]: [f32; 4]) {
     for ((g, &depth), &prior) in gradient.iter_mut().zip(depth).zip(prior) {
         let d = disparity(depth);

@@ -1,5 +1,6 @@
-//! Reg-L1 and Reg-MS-SSIM in one computation: one pass before the structure measure and one after it.
-//! [`Photometric`] names the same two with one level, and without the weight.
+//! Reg-L1 and Reg-MS-SSIM in one computation: the structure measure reads the weighed images, and its
+//! gradient becomes that of the loss, row by row. [`Photometric`] names the same two with one level, and
+//! without the weight.
 //!
 //! ```text
 //! W = 1 / (sg(Î) + ε),  ε = 1e-3                      per pixel and channel, no gradient
@@ -10,10 +11,10 @@
 //!
 //! `reg-ssim` has one level in place of three, as in WaterSplatting. `ssim` also has `W = 1`, as in 3DGS.
 //!
-//! With a good fit, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the
-//! structure term measures relative error, and its variances would cancel in f32. Both are therefore
-//! computed *minus one* without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. The
-//! first also carries `W` to the last pass, which needs no other image.
+//! With a good fit, `W Î` is nearly 1 and `W I` is the ratio of target to prediction. So the structure term
+//! measures relative error, and its variances would cancel in f32. Both are therefore computed *minus one*
+//! without ever being near one: `W Î − 1 = −ε W` and `W I − 1 = W (I − Î) − ε W`. Neither is stored: they are
+//! computed where they are read.
 //!
 //! A mask multiplies prediction and target before anything else, so that a pixel that does not count adds
 //! nothing to either term and has no gradient. The means of the loss stay over all pixels, so that a view
@@ -22,10 +23,10 @@
 
 use fearless_simd::prelude::*;
 use fearless_simd::{Level, Simd, dispatch, f32x16};
-use rayon::prelude::*;
 use use3d_capture::{Image, Map};
-use use3d_metrics::ms_ssim::{MsSsim, RECONSTRUCTION_WEIGHTS};
+use use3d_metrics::ms_ssim::{MsSsim, Pair, RECONSTRUCTION_WEIGHTS};
 use use3d_numerics::rows::{LANES, load, store};
+use use3d_numerics::sums::sum;
 
 use super::{LossTerm, LossValue, Observation, Term, ViewGradients};
 use crate::{Photometric, ReconstructParams};
@@ -78,8 +79,8 @@ fn chosen(params: &ReconstructParams, step: u64) -> Photometric {
 
 /// `ε` of the weight.
 const EPSILON: f32 = 1e-3;
-/// Elements per task.
-const BLOCK: usize = 1 << 14;
+/// The offset of images without a weight, which keeps their variances from cancelling.
+const CENTER: f32 = 0.5;
 
 /// The values of one evaluation.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -105,9 +106,6 @@ pub struct PhotometricLoss {
     /// Weights of the structure measure's levels.
     pub(super) weights: Vec<f64>,
     measure: MsSsim,
-    /// `W Î − 1` and `W I − 1`.
-    prediction: Image,
-    target: Image,
     squared_error: f64,
 }
 
@@ -125,8 +123,6 @@ impl PhotometricLoss {
             relative: which != Photometric::Ssim,
             weights: levels.to_vec(),
             measure: MsSsim::default(),
-            prediction: Image::new(0, 0),
-            target: Image::new(0, 0),
             squared_error: 0.0,
         }
     }
@@ -142,75 +138,48 @@ impl PhotometricLoss {
     ) -> PhotometricValue {
         let (w, h) = (prediction.width(), prediction.height());
         assert_eq!((w, h), (target.width(), target.height()), "the loss compares images of one size");
-        self.prediction.resize(w, h);
-        self.target.resize(w, h);
-        let (level, relative) = (Level::new(), self.relative);
-        let n = w * h;
-        let count = (3 * n) as f64;
-        let mask = mask.map(Map::data);
-
-        let blocks_per_plane = n.div_ceil(BLOCK);
-        let inputs = prediction.data().chunks(n.max(1)).zip(target.data().chunks(n.max(1)));
-        let outputs =
-            self.prediction.data_mut().chunks_mut(n.max(1)).zip(self.target.data_mut().chunks_mut(n.max(1)));
-        let tasks: Vec<_> = inputs
-            .zip(outputs)
-            .flat_map(|((p, t), (x, y))| {
-                let inputs = p.chunks(BLOCK).zip(t.chunks(BLOCK));
-                inputs.zip(x.chunks_mut(BLOCK).zip(y.chunks_mut(BLOCK)))
-            })
-            .collect();
-        let partial: Vec<[f64; 2]> = tasks
-            .into_par_iter()
-            .enumerate()
-            .map(|(task, ((p, t), (x, y)))| {
-                let from = (task % blocks_per_plane) * BLOCK;
-                let mask = mask.map(|m| &m[from..from + p.len()]);
-                match relative {
-                    true => dispatch!(level, simd => weigh::<_, true>(simd, p, t, mask, x, y)),
-                    false => dispatch!(level, simd => weigh::<_, false>(simd, p, t, mask, x, y)),
-                }
-            })
-            .collect();
-        let reg_l1 = partial.iter().map(|s| s[0]).sum::<f64>() / count;
-        let counted = mask
-            .map_or(n as f64, |m| use3d_numerics::sums::sum(m.len(), |i| f64::from(m[i]) * f64::from(m[i])));
-        let squared = partial.iter().map(|s| s[1]).sum::<f64>();
-        let squared_error = if counted > 0.0 { squared / (3.0 * counted) } else { 0.0 };
-
-        let offset = if relative { 1.0 } else { 0.0 };
-        let similarity =
-            self.measure.value_and_gradient(&self.prediction, &self.target, offset, &self.weights, gradient);
-        let reg_ms_ssim = 1.0 - similarity;
-
+        let count = (3 * w * h) as f64;
         let [l1_weight, structure_weight] = self.shares;
         let absolute = (l1_weight / count) as f32;
         let structure = -structure_weight as f32;
-        gradient
-            .data_mut()
-            .par_chunks_mut(n.max(1))
-            .zip(self.prediction.data().par_chunks(n.max(1)).zip(self.target.data().par_chunks(n.max(1))))
-            .for_each(|(g, (x, y))| {
-                g.par_chunks_mut(BLOCK)
-                    .zip(x.par_chunks(BLOCK).zip(y.par_chunks(BLOCK)))
-                    .enumerate()
-                    .for_each(|(block, (g, (x, y)))| {
-                        let mask = mask.map(|m| &m[block * BLOCK..][..g.len()]);
-                        let shares = [absolute, structure];
-                        match relative {
-                            true => {
-                                dispatch!(level, simd => backward::<_, true>(simd, x, y, mask, shares, g));
-                            }
-                            false => {
-                                dispatch!(level, simd => backward::<_, false>(simd, x, y, mask, shares, g));
-                            }
-                        }
-                    });
-            });
+        let shares = [absolute, structure];
+        let (levels, measure) = (&self.weights, &mut self.measure);
+        let (similarity, sums) = match self.relative {
+            true => weighed::<true>(measure, levels, [prediction, target], mask, shares, gradient),
+            false => weighed::<false>(measure, levels, [prediction, target], mask, shares, gradient),
+        };
+        let [reg_l1, squared] = [0, 1].map(|of| sums.iter().map(|sum| sum[of]).sum::<f64>());
+        let reg_l1 = reg_l1 / count;
+        let square = |m: &Map| sum(m.pixels(), |i| f64::from(m.data()[i]) * f64::from(m.data()[i]));
+        let counted = mask.map_or((w * h) as f64, square);
+        let squared_error = if counted > 0.0 { squared / (3.0 * counted) } else { 0.0 };
+        let reg_ms_ssim = 1.0 - similarity;
         let total = l1_weight * reg_l1 + structure_weight * reg_ms_ssim;
         self.squared_error = squared_error;
         PhotometricValue { total, reg_l1, reg_ms_ssim, squared_error }
     }
+}
+
+/// The structure measure of the weighed images, the loss's gradient, and the [sums](Weighed::finish) of each
+/// row.
+fn weighed<const RELATIVE: bool>(
+    measure: &mut MsSsim,
+    levels: &[f64],
+    images: [&Image; 2],
+    mask: Option<&Map>,
+    shares: [f32; 2],
+    gradient: &mut Image,
+) -> (f64, Vec<[f64; 2]>) {
+    let pair = Weighed::<'_, RELATIVE> { images, mask };
+    let offset = if RELATIVE { 1.0 } else { CENTER };
+    let level = Level::new();
+    measure.of_pair(
+        &pair,
+        offset,
+        levels,
+        gradient,
+        |channel, row, gradient| dispatch!(level, simd => pair.finish(simd, channel, row, shares, gradient)),
+    )
 }
 
 impl Term for PhotometricLoss {
@@ -232,65 +201,87 @@ impl Term for PhotometricLoss {
     }
 }
 
-/// Computes `x = W Î − 1`, `y = W I − 1`, and the sums of `|W (Î − I)|` and of the squared error. Lanes
-/// past the end add nothing. Without a weight, `x = Î` and `y = I`.
-#[inline(always)]
-fn weigh<S: Simd, const RELATIVE: bool>(
-    simd: S,
-    prediction: &[f32],
-    target: &[f32],
-    mask: Option<&[f32]>,
-    x: &mut [f32],
-    y: &mut [f32],
-) -> [f64; 2] {
-    let zero = f32x16::splat(simd, 0.0);
-    let one = f32x16::splat(simd, 1.0);
-    let (mut absolute, mut squared) = (zero, zero);
-    for i in (0..prediction.len()).step_by(LANES) {
-        let (mut p, mut t) = (load(simd, prediction, i), load(simd, target, i));
-        if let Some(mask) = mask {
-            let m = load(simd, mask, i);
-            (p, t) = (p * m, t * m);
-        }
-        let off = if RELATIVE {
-            let w = one / (p.max(zero) + EPSILON);
-            let off = w * (t - p);
-            let from_one = w * -EPSILON;
-            store(from_one, x, i);
-            store(off + from_one, y, i);
-            off
-        } else {
-            store(p, x, i);
-            store(t, y, i);
-            t - p
-        };
-        absolute += off.abs();
-        let e = p.max(zero).min(one) - t;
-        squared = e.mul_add(e, squared);
-    }
-    [absolute, squared].map(|v| v.as_slice().iter().map(|&v| f64::from(v)).sum())
+/// Prediction and target as the structure measure reads them: `x = W Î − 1` and `y = W I − 1`. Without a
+/// weight, `x = Î − ½` and `y = I − ½`.
+struct Weighed<'a, const RELATIVE: bool> {
+    images: [&'a Image; 2],
+    mask: Option<&'a Map>,
 }
 
-/// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)`, where `W = −x / ε` or 1, and the sign is that of `x − y`.
-#[inline(always)]
-fn backward<S: Simd, const RELATIVE: bool>(
-    simd: S,
-    x: &[f32],
-    y: &[f32],
-    mask: Option<&[f32]>,
-    [absolute, structure]: [f32; 2],
-    g: &mut [f32],
-) {
-    let zero = f32x16::splat(simd, 0.0);
-    let (plus, minus) = (f32x16::splat(simd, absolute), f32x16::splat(simd, -absolute));
-    for i in (0..g.len()).step_by(LANES) {
-        let (a, b) = (load(simd, x, i), load(simd, y, i));
-        let mut w = if RELATIVE { a * (-1.0 / EPSILON) } else { f32x16::splat(simd, 1.0) };
-        if let Some(mask) = mask {
-            w *= load(simd, mask, i);
+impl<const RELATIVE: bool> Weighed<'_, RELATIVE> {
+    /// `g ← m W ((1 − λ)/N sign(Î − I) − λ g)` for a row; returns the sums of `|W (Î − I)|` and of the
+    /// squared error over the row.
+    #[inline(always)]
+    fn finish<S: Simd>(
+        &self,
+        simd: S,
+        channel: usize,
+        row: usize,
+        [absolute, structure]: [f32; 2],
+        g: &mut [f32],
+    ) -> [f64; 2] {
+        let (zero, one) = (f32x16::splat(simd, 0.0), f32x16::splat(simd, 1.0));
+        let (plus, minus) = (f32x16::splat(simd, absolute), f32x16::splat(simd, -absolute));
+        let (mut far, mut squared) = (zero, zero);
+        let row = self.row(channel, row);
+        for i in (0..g.len()).step_by(LANES) {
+            let [p, t, mut w] = weighed_lanes::<_, RELATIVE>(simd, &row, i);
+            far += (w * (t - p)).abs();
+            let error = p.max(zero).min(one) - t;
+            squared = error.mul_add(error, squared);
+            if let Some(mask) = row.1 {
+                w *= load(simd, mask, i);
+            }
+            let sign = p.simd_gt(t).select(plus, p.simd_lt(t).select(minus, zero));
+            let slope = load(simd, g, i).mul_add(structure, sign);
+            store(w * slope, g, i);
         }
-        let sign = a.simd_gt(b).select(plus, a.simd_lt(b).select(minus, zero));
-        let slope = load(simd, g, i).mul_add(structure, sign);
-        store(w * slope, g, i);
+        [far, squared].map(|sums| sums.as_slice().iter().map(|v| f64::from(*v)).sum())
+    }
+}
+
+/// Sixteen pixels of prediction, target and weight; zeros and a finite weight beyond the end of the row.
+#[inline(always)]
+fn weighed_lanes<S: Simd, const RELATIVE: bool>(
+    simd: S,
+    ([p, t], mask): &([&[f32]; 2], Option<&[f32]>),
+    from: usize,
+) -> [f32x16<S>; 3] {
+    let (mut p, mut t) = (load(simd, p, from), load(simd, t, from));
+    if let Some(mask) = mask {
+        let m = load(simd, mask, from);
+        (p, t) = (p * m, t * m);
+    }
+    let one = f32x16::splat(simd, 1.0);
+    [p, t, if RELATIVE { one / (p.max(f32x16::splat(simd, 0.0)) + EPSILON) } else { one }]
+}
+
+impl<const RELATIVE: bool> Pair for Weighed<'_, RELATIVE> {
+    type Row<'a>
+        = ([&'a [f32]; 2], Option<&'a [f32]>)
+    where
+        Self: 'a;
+
+    fn size(&self) -> (usize, usize) {
+        (self.images[0].width(), self.images[0].height())
+    }
+
+    #[inline(always)]
+    fn row(&self, channel: usize, row: usize) -> Self::Row<'_> {
+        let [p, t] = self.images;
+        ([p.row(channel, row), t.row(channel, row)], self.mask.map(|mask| mask.row(0, row)))
+    }
+
+    #[inline(always)]
+    fn read<'a, S: Simd>(simd: S, row: &Self::Row<'a>, from: usize) -> [f32x16<S>; 2]
+    where
+        Self: 'a,
+    {
+        let [p, t, w] = weighed_lanes::<_, RELATIVE>(simd, row, from);
+        if !RELATIVE {
+            return [p - CENTER, t - CENTER];
+        }
+        let from_one = w * -EPSILON;
+        [from_one, w.mul_add(t - p, from_one)]
     }
 }

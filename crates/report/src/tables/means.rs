@@ -11,10 +11,11 @@ use use3d_judge::scores::{Method, SceneScores, SceneSpeed, Score, Scores, Warp};
 use use3d_judge::truth::WaterScores;
 
 /// The metrics that any table shows.
-const METRICS: [&str; 18] = [
+const METRICS: [&str; 19] = [
     "psnr",
     "ssim",
     "lpips",
+    "edge_width",
     "uciqe",
     "uranker",
     "musiq",

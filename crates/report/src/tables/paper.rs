@@ -10,10 +10,11 @@ use super::{Better, Cell, Column, Row, Table};
 use use3d_judge::names::distinct;
 use use3d_judge::scores::{Method, Warp};
 
-const RECONSTRUCTION: [Quantity; 3] = [
+const RECONSTRUCTION: [Quantity; 4] = [
     ("psnr", "PSNR", Better::Higher, 3),
     ("ssim", "SSIM", Better::Higher, 3),
     ("lpips", "LPIPS", Better::Lower, 3),
+    ("edge_width", "edge width", Better::Lower, 2),
 ];
 const ENHANCEMENT: [Quantity; 5] = [
     ("uciqe", "UCIQE", Better::Higher, 3),
@@ -396,7 +397,7 @@ mod tests {
         assert!(matches!(&ours.cells[2], Cell::NotAvailable { reason } if reason.contains("lpips_alex")));
         let plenodium = table.rows.iter().find(|r| r.label == "Plenodium").unwrap();
         assert_eq!(plenodium.cells[0], Cell::Blank, "two of four scenes are not SeaThru-4");
-        assert_eq!(plenodium.cells[3].value(), Some(28.686));
+        assert_eq!(plenodium.cells[4].value(), Some(28.686));
         let scenes = &tables(&three)[1];
         let plenodium =
             scenes.rows.iter().find(|r| r.published && r.scene == "Curasao" && r.label == "Plenodium");
