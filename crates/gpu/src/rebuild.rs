@@ -152,7 +152,7 @@ impl DeviceScene {
 #[cfg(test)]
 mod tests {
     use use3d_numerics::random::{Purpose, Stream};
-    use use3d_reconstruct::density::rebuilt;
+    use use3d_reconstruct::density::{Children, rebuilt};
     use use3d_reconstruct::engine::{Moments, Statistics};
 
     use super::*;
@@ -162,7 +162,6 @@ mod tests {
     #[test]
     fn a_rebuilt_scene_is_the_processors_to_the_bit() {
         let Some(gpu) = software() else { return };
-        let draws = Draws { seed: 4, step: 300, shrink: 1.6, ..Draws::default() };
         let stream = Stream::new(8, Purpose::new("rows of a rebuilt scene"), 0);
         for (gpu, chunks) in [(gpu.clone(), 1), (gpu.binding(900_000), 2)] {
             let kernel = RebuildKernel::new(&gpu).unwrap();
@@ -176,7 +175,8 @@ mod tests {
             scene.write(&gpu, &gaussians, &moments, &statistics).unwrap();
             assert_eq!(scene.first.colors.over(n).count(), chunks);
             let mut draw = 0;
-            for to in [7000, 300, 0] {
+            for (to, split) in [(7000, Children::Drawn), (300, Children::LongAxis), (0, Children::Drawn)] {
+                let draws = Draws { split, seed: 4, step: 300, shrink: 1.6 };
                 let from = gaussians.len();
                 let rows: Vec<Origin> = (0..to)
                     .map(|row| {
