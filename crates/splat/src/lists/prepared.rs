@@ -180,7 +180,7 @@ impl Prepared {
         self.projected.resize(gaussians.len(), Splat::default());
         let level = Level::new();
         self.projected.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-            dispatch!(level, _simd => projecting.forward(chunk * CHUNK, out));
+            dispatch!(level, simd => projecting.forward(simd, chunk * CHUNK, out));
         });
     }
 
