@@ -13,6 +13,7 @@ pub mod cholesky;
 pub mod functions;
 pub mod lanes;
 pub mod math;
+pub mod number;
 pub mod order;
 pub mod product;
 pub mod random;

@@ -5,7 +5,8 @@
 
 use std::ops::Range;
 
-use fearless_simd::{Level, dispatch};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x16};
 use rayon::prelude::*;
 
 use super::axis::Axis;
@@ -13,6 +14,41 @@ use crate::project::{LOG2_255, Splat};
 
 /// Number of tile rows per band of the first binning level.
 const BAND: usize = 8;
+/// Number of lanes.
+const LANES: usize = 16;
+
+/// The Gaussians that may meet a band of tile rows, in depth order.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Band {
+    ranks: Vec<u32>,
+    /// Height of the centre and half height of the contour; padded with one vector of Gaussians that meet
+    /// nothing.
+    y: Vec<f32>,
+    reach_y: Vec<f32>,
+}
+
+impl Band {
+    /// Takes the Gaussians whose contour meets the rows between `first` and `last`.
+    fn fill(&mut self, splats: &[Splat], first: f32, last: f32) {
+        self.ranks.clear();
+        self.y.clear();
+        self.reach_y.clear();
+        for (s, rank) in splats.iter().zip(0..) {
+            if s.y + s.reach_y >= first && s.y - s.reach_y <= last {
+                self.ranks.push(rank);
+                self.y.push(s.y);
+                self.reach_y.push(s.reach_y);
+            }
+        }
+        self.y.resize(self.ranks.len() + LANES, 0.0);
+        self.reach_y.resize(self.ranks.len() + LANES, f32::NEG_INFINITY);
+    }
+
+    /// Number of bytes held.
+    pub(super) fn memory(&self) -> usize {
+        4 * (self.ranks.capacity() + self.y.capacity() + self.reach_y.capacity())
+    }
+}
 
 /// The tiles of one tile row that one Gaussian meets.
 #[derive(Clone, Copy, Debug, Default)]
@@ -50,18 +86,22 @@ impl TileRow {
 
     /// Makes the lists of `tiles` tiles from the spans.
     pub(crate) fn list_spans(&mut self, tiles: usize) {
+        // Changes of the number of spans from tile to tile, then its running sum.
         self.offsets.clear();
         self.offsets.resize(tiles + 1, 0);
         for span in &self.spans {
-            for t in span.first..span.first + span.count {
-                self.offsets[t as usize + 1] += 1;
-            }
+            let (first, end) = (span.first as usize, (span.first + span.count) as usize);
+            self.offsets[first] = self.offsets[first].wrapping_add(1);
+            self.offsets[end] = self.offsets[end].wrapping_sub(1);
         }
-        for t in 0..tiles {
-            self.offsets[t + 1] += self.offsets[t];
+        let (mut here, mut start) = (0u32, 0);
+        for offset in &mut self.offsets {
+            here = here.wrapping_add(*offset);
+            *offset = start;
+            start += here;
         }
+        self.entries.resize(start as usize, 0);
         // Fills the lists with the offsets as cursors, then shifts the offsets back.
-        self.entries.resize(self.offsets[tiles] as usize, 0);
         for (i, span) in self.spans.iter().enumerate() {
             for t in span.first..span.first + span.count {
                 let cursor = &mut self.offsets[t as usize];
@@ -81,77 +121,130 @@ impl TileRow {
 pub(super) fn list(
     splats: &[Splat],
     [columns, rows]: [&Axis; 2],
-    bands: &mut Vec<Vec<u32>>,
+    bands: &mut Vec<Band>,
     out: &mut Vec<TileRow>,
 ) {
     let tile_rows = rows.tiles();
-    bands.resize_with(tile_rows.div_ceil(BAND), Vec::new);
-    bands.par_iter_mut().enumerate().for_each(|(band, ranks)| {
+    bands.resize_with(tile_rows.div_ceil(BAND), Band::default);
+    bands.par_iter_mut().enumerate().for_each(|(band, out)| {
         let first = rows.tile(band * BAND).0;
         let last = rows.tile(((band + 1) * BAND).min(tile_rows) - 1).1;
-        ranks.clear();
-        ranks.extend((0..splats.len() as u32).filter(|&rank| {
-            let s = &splats[rank as usize];
-            s.y + s.reach_y >= first && s.y - s.reach_y <= last
-        }));
+        out.fill(splats, first, last);
     });
     let level = Level::new();
     out.resize_with(tile_rows, TileRow::default);
     out.par_iter_mut().enumerate().with_max_len(1).for_each(|(row, out)| {
-        let ranks = &bands[row / BAND];
-        dispatch!(level, _simd => fill_tile_row(out, row, ranks, splats, rows, columns));
+        let row = RowInput { band: &bands[row / BAND], splats, heights: rows.tile(row), columns };
+        dispatch!(level, simd => row.fill(simd, out));
     });
 }
 
-/// The x range of the contour between two heights, both as offsets from the Gaussian's centre.
-#[inline(always)]
-fn contour_range(s: &Splat, low: f32, high: f32) -> Option<[f32; 2]> {
-    let (low, high) = (low.max(-s.reach_y), high.min(s.reach_y));
-    if low > high {
-        return None;
-    }
-    let level = s.log2_opacity + LOG2_255;
-    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) has its extremes where the ellipse has a
-    // vertical tangent.
-    let (a, d) = (s.steepness, s.steepness_y);
-    let tangent = s.shear * (level * a / (d * (d + a * s.shear * s.shear))).sqrt();
-    let half_width = |dy: f32| ((level - d * dy * dy).max(0.0) / a).sqrt();
-    let clamp = |dy: f32| if dy.is_nan() { low } else { dy.max(low).min(high) };
-    let (right, left) = (clamp(-tangent), clamp(tangent));
-    let margin = |x: f32| 1e-3 + 1e-5 * x.abs();
-    let (x0, x1) = (-s.shear * left - half_width(left), -s.shear * right + half_width(right));
-    Some([x0 - margin(x0), x1 + margin(x1)])
+/// One row of tiles and the Gaussians that may meet it.
+struct RowInput<'a> {
+    band: &'a Band,
+    splats: &'a [Splat],
+    /// The first and last height.
+    heights: (f32, f32),
+    columns: &'a Axis,
 }
 
-#[inline(always)]
-fn fill_tile_row(
-    out: &mut TileRow,
-    row: usize,
-    ranks: &[u32],
-    splats: &[Splat],
-    rows: &Axis,
-    columns: &Axis,
-) {
-    let (first, last) = rows.tile(row);
-    let tiles = columns.tiles();
-    out.spans.clear();
-    let mut start = 0u32;
-    for &rank in ranks {
-        let s = &splats[rank as usize];
-        let Some([x0, x1]) = contour_range(s, first - s.y, last - s.y) else { continue };
-        let (t0, t1) = columns.tiles_meeting(s.x + x0, s.x + x1);
-        if t0 >= t1 {
-            continue;
+impl RowInput<'_> {
+    #[inline(always)]
+    fn fill<S: Simd>(&self, simd: S, out: &mut TileRow) {
+        out.spans.clear();
+        let mut start = 0;
+        let first = f32x16::splat(simd, self.heights.0);
+        let last = f32x16::splat(simd, self.heights.1);
+        let (mut met, mut count) = ([0; LANES], 0);
+        for (at, ranks) in self.band.ranks.chunks(LANES).enumerate() {
+            let at = at * LANES..(at + 1) * LANES;
+            let y = f32x16::from_slice(simd, &self.band.y[at.clone()]);
+            let reach = f32x16::from_slice(simd, &self.band.reach_y[at]);
+            // The contour's heights meet the row's: the test of `contour_range`.
+            let meets = (first - y).simd_le(reach) & (-reach).simd_le(last - y);
+            let mut bits = meets.to_bitmask();
+            while bits != 0 {
+                met[count] = ranks[bits.trailing_zeros() as usize];
+                count += 1;
+                bits &= bits - 1;
+                if count == LANES {
+                    self.spans(simd, &met, &mut start, out);
+                    count = 0;
+                }
+            }
         }
-        out.spans.push(Span { rank, first: t0 as u32, count: (t1 - t0) as u32, start });
-        start += (t1 - t0) as u32;
+        self.spans(simd, &met[..count], &mut start, out);
+        out.list_spans(self.columns.tiles());
     }
-    out.list_spans(tiles);
+
+    /// Adds the spans of at most [`LANES`] Gaussians that meet the row.
+    #[inline(always)]
+    fn spans<S: Simd>(&self, simd: S, ranks: &[u32], start: &mut u32, out: &mut TileRow) {
+        let mut numbers = [[0.0; LANES]; 6];
+        for (lane, &rank) in ranks.iter().enumerate() {
+            let s = &self.splats[rank as usize];
+            let of_splat = [s.y, s.reach_y, s.log2_opacity, s.steepness, s.steepness_y, s.shear];
+            for (row, v) in numbers.iter_mut().zip(of_splat) {
+                row[lane] = v;
+            }
+        }
+        let [low, high] = contour_range(simd, &numbers, self.heights);
+        let (low, high) = (low.to_array(), high.to_array());
+        for (lane, &rank) in ranks.iter().enumerate() {
+            let x = self.splats[rank as usize].x;
+            let (first, end) = self.columns.tiles_meeting(x + low[lane], x + high[lane]);
+            if first < end {
+                let count = (end - first) as u32;
+                out.spans.push(Span { rank, first: first as u32, count, start: *start });
+                *start += count;
+            }
+        }
+    }
+}
+
+/// The x range, as offsets from the centre, of the contours of Gaussians that meet a row between two
+/// heights; they are given by `y`, `reach_y`, `log2_opacity`, `steepness`, `steepness_y` and `shear`.
+#[inline(always)]
+fn contour_range<S: Simd>(simd: S, numbers: &[[f32; LANES]; 6], (first, last): (f32, f32)) -> [f32x16<S>; 2] {
+    let [y, reach, level, a, d, shear] = numbers;
+    let y = f32x16::load_array_ref(simd, y);
+    let reach = f32x16::load_array_ref(simd, reach);
+    let level = f32x16::load_array_ref(simd, level) + LOG2_255;
+    let a = f32x16::load_array_ref(simd, a);
+    let d = f32x16::load_array_ref(simd, d);
+    let shear = f32x16::load_array_ref(simd, shear);
+    let low = (f32x16::splat(simd, first) - y).max(-reach);
+    let high = (f32x16::splat(simd, last) - y).min(reach);
+    // x(dy) = −shear dy ± √((level − steepness_y dy²)/steepness) has its extremes where the ellipse has a
+    // vertical tangent.
+    let tangent = shear * (level * a / (d * (d + a * shear * shear))).sqrt();
+    let nowhere = tangent.is_nan();
+    let left = nowhere.select(low, tangent.max(low).min(high));
+    let right = nowhere.select(low, (-tangent).max(low).min(high));
+    let x0 = -shear * left - half_width(level, a, d, left);
+    let x1 = -shear * right + half_width(level, a, d, right);
+    [x0 - (x0.abs() * 1e-5 + 1e-3), x1 + (x1.abs() * 1e-5 + 1e-3)]
+}
+
+/// `√((level − d dy²)/a)`, zero outside the contour.
+#[inline(always)]
+fn half_width<S: Simd>(level: f32x16<S>, a: f32x16<S>, d: f32x16<S>, dy: f32x16<S>) -> f32x16<S> {
+    let rest = level - d * dy * dy;
+    (rest.max(0.0) / a).sqrt()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn range(s: &Splat, first: f32, last: f32) -> [f32; 2] {
+        let numbers = [s.y, s.reach_y, s.log2_opacity, s.steepness, s.steepness_y, s.shear];
+        let numbers = numbers.map(|v| [v; LANES]);
+        dispatch!(Level::new(), simd => {
+            let [low, high] = contour_range(simd, &numbers, (first, last));
+            [low.to_array()[0], high.to_array()[0]]
+        })
+    }
 
     /// Compares the tangent formula with a dense walk around the contour.
     #[test]
@@ -165,7 +258,7 @@ mod tests {
             ..Splat::default()
         };
         for (low, high) in [(-100.0, 100.0), (3.0, 18.0), (-30.0, -15.0), (20.0, 40.0)] {
-            let [x0, x1] = contour_range(&s, low, high).unwrap();
+            let [x0, x1] = range(&s, low, high);
             let (mut w0, mut w1) = (f32::INFINITY, f32::NEG_INFINITY);
             for i in 0..=100_000 {
                 let dy = low + (high - low) * i as f32 / 1e5;
@@ -178,6 +271,5 @@ mod tests {
             assert!((x0 - w0).abs() < 5e-3 && (x1 - w1).abs() < 5e-3, "{x0} {w0} {x1} {w1}");
             assert!(x0 <= w0 && x1 >= w1);
         }
-        assert!(contour_range(&s, 30.0, 40.0).is_none());
     }
 }

@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use use3d_capture::{Camera, Lattice};
 
 use super::axis::Axis;
-use super::bins::{Span, TileRow, list};
+use super::bins::{Band, Span, TileRow, list};
 use super::sort;
 use super::weights::RowWeights;
 use crate::project::{ColorSource, HIDDEN, Projecting, Splat};
@@ -57,7 +57,7 @@ pub struct Prepared {
     pub(crate) weights: Vec<RowWeights>,
     projected: Vec<Splat>,
     keys: sort::Keys,
-    bands: Vec<Vec<u32>>,
+    bands: Vec<Band>,
 }
 
 static STAMP: AtomicU64 = AtomicU64::new(1);
@@ -120,7 +120,7 @@ impl Prepared {
                 r.spans.capacity() * size_of::<Span>() + (r.entries.capacity() + r.offsets.capacity()) * 4
             })
             .sum();
-        let bands: usize = self.bands.iter().map(|b| b.capacity() * 4).sum();
+        let bands: usize = self.bands.iter().map(Band::memory).sum();
         (self.splats.capacity() + self.projected.capacity()) * size_of::<Splat>()
             + self.ranks.capacity() * 4
             + self.keys.memory()
@@ -180,7 +180,7 @@ impl Prepared {
         self.projected.resize(gaussians.len(), Splat::default());
         let level = Level::new();
         self.projected.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, out)| {
-            dispatch!(level, _simd => projecting.forward(chunk * CHUNK, out));
+            dispatch!(level, simd => projecting.forward(simd, chunk * CHUNK, out));
         });
     }
 

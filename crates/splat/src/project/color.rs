@@ -45,20 +45,17 @@ pub(crate) fn color(degree: usize, center: [f32; 3], mean: [f32; 3], sh: &[[f32;
     raw_color(degree, direction(center, mean), sh).0.map(|v| v.max(0.0))
 }
 
-/// The derivative: `∂L/∂sh` from `∂L/∂c`.
+/// The derivative: `∂L/∂sh` from `∂L/∂c`, which is zero where the clamp is active.
 #[inline(always)]
 pub(crate) fn color_backward(
     degree: usize,
     center: [f32; 3],
     mean: [f32; 3],
-    sh: &[[f32; 3]; 16],
     d_color: [f32; 3],
     gradient: &mut [[f32; 3]; 16],
 ) {
-    let (raw, y) = raw_color(degree, direction(center, mean), sh);
-    let open: [f32; 3] = std::array::from_fn(|c| if raw[c] > 0.0 { d_color[c] } else { 0.0 });
-    for (g, y) in gradient.iter_mut().zip(y) {
-        *g = open.map(|v| y * v);
+    for (g, y) in gradient.iter_mut().zip(basis(degree, direction(center, mean))) {
+        *g = d_color.map(|v| y * v);
     }
 }
 
@@ -124,14 +121,8 @@ mod tests {
             case.check("out.color", colors.as_flattened());
             let mut gradient = vec![[[1.0; 3]; 16]; n];
             for (i, d_color) in case.rows::<3>("cot.color").into_iter().enumerate() {
-                color_backward(
-                    degree,
-                    center,
-                    gaussians.means[i],
-                    &gaussians.sh[i],
-                    d_color,
-                    &mut gradient[i],
-                );
+                let d_color = std::array::from_fn(|c| if colors[i][c] > 0.0 { d_color[c] } else { 0.0 });
+                color_backward(degree, center, gaussians.means[i], d_color, &mut gradient[i]);
             }
             case.check("grad.color.sh", gradient.as_flattened().as_flattened());
         }

@@ -1,12 +1,12 @@
 //! A Gaussian in the form that the compositor reads: from a projection to a [`Splat`], and from the
 //! compositor's sums back to the projection.
 //!
-//! The forward pass ([`splat_of`]) computes `shear`, `steepness` and `steepness_y` from the covariance of
-//! the projection; the backward pass ([`ScreenGradient`]) inverts this step. With
+//! The forward pass ([`outline`]) computes `shear`, `steepness` and `steepness_y` from the covariance of the
+//! projection; the backward pass ([`screen_gradient`]) inverts this step. With
 //! `v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy)`, the compositor's sums over pixels are
 //! the derivatives with respect to mean and covariance, up to factors of the splat itself.
 
-use use3d_numerics::math;
+use use3d_numerics::number::{Number, log2_logistic};
 
 use super::projection::Projection;
 
@@ -56,7 +56,7 @@ impl Splat {
         self.covariance().1.sqrt().sqrt()
     }
 
-    /// `cov_yy` and the determinant of the covariance: the inverse of `splat_of`.
+    /// `cov_yy` and the determinant of the covariance: the inverse of `outline`.
     fn covariance(&self) -> (f32, f32) {
         let half = 0.5 * std::f32::consts::LOG2_E;
         let yy = half / self.steepness_y;
@@ -115,71 +115,59 @@ impl SplatGradient {
     }
 }
 
-/// Converts a projection to the compositor's form; `None` if it is never drawn or its contour misses the
-/// lattice.
+/// `x, y, shear, steepness, steepness_y, log2_opacity, z, reach_y` of a [`Splat`], and the half width of the
+/// 1/255 contour.
+pub(super) type Outline<V> = [V; 9];
+
+/// Converts a projection to the compositor's form; the mask is false if it is never drawn.
 #[inline(always)]
-pub(super) fn splat_of(p: &Projection, logit: f32, columns: [f32; 2], rows: [f32; 2]) -> Option<Splat> {
-    // log₂ of the logistic function, stable at both ends; NaN compares false below.
-    let x = f64::from(logit);
-    let log2_opacity = -(math::ln_1p(math::exp(-x.abs())) - x.min(0.0)) * std::f64::consts::LOG2_E;
+pub(super) fn outline<V: Number>(p: &Projection<V>, logit: V) -> (Outline<V>, V::Mask) {
+    let log2_opacity = log2_logistic(logit);
     let level = log2_opacity + f64::from(LOG2_255);
-    if level.is_nan() || level < 0.0 {
-        return None;
-    }
     let [xx, xy, yy] = p.cov;
     let det = xx * yy - xy * xy;
-    if det.is_nan() || det <= 0.0 {
-        return None;
-    }
-    // σ ≤ level / log₂e: half extents √(2 σ cov).
-    let twice_sigma = 2.0 * level * std::f64::consts::LN_2;
-    let (reach_x, reach_y) = ((twice_sigma * xx).sqrt(), (twice_sigma * yy).sqrt());
-    let half = 0.5 * std::f64::consts::LOG2_E;
-    let splat = Splat {
-        x: p.mean[0] as f32,
-        y: p.mean[1] as f32,
-        shear: (-xy / yy) as f32,
-        steepness: (half * yy / det) as f32,
-        steepness_y: (half / yy) as f32,
-        log2_opacity: log2_opacity as f32,
-        z: p.z as f32,
-        // Slightly more than the exact value, so that rounding never loses a pixel on the contour.
-        reach_y: (reach_y * (1.0 + 1e-6) + 1e-3) as f32,
-        ..Splat::default()
-    };
-    let reach_x = (reach_x * (1.0 + 1e-6) + 1e-3) as f32;
+    let zero = level.fill(0.0);
+    let drawn = zero.at_most(level) & zero.less(det);
+    // σ ≤ level / log₂e: half extents √(2 σ cov). Slightly more than the exact value, so that rounding never
+    // loses a pixel on the contour.
+    let twice_sigma = level * (2.0 * std::f64::consts::LN_2);
+    let reach_x = (twice_sigma * xx).sqrt() * (1.0 + 1e-6) + 1e-3;
+    let reach_y = (twice_sigma * yy).sqrt() * (1.0 + 1e-6) + 1e-3;
+    let half = yy.fill(0.5 * std::f64::consts::LOG2_E);
+    let inverse_yy = yy.fill(1.0) / yy;
+    let (shear, steepness, steepness_y) = (-xy * inverse_yy, half * yy / det, half * inverse_yy);
+    let [x, y] = p.mean;
+    ([x, y, shear, steepness, steepness_y, log2_opacity, p.z, reach_y, reach_x], drawn)
+}
+
+/// The splat of an outline in f32; `None` if its contour misses the lattice.
+#[inline(always)]
+pub(super) fn splat_of(outline: &Outline<f32>, columns: [f32; 2], rows: [f32; 2]) -> Option<Splat> {
+    let &[x, y, shear, steepness, steepness_y, log2_opacity, z, reach_y, reach_x] = outline;
     let meets =
         |centre: f32, reach: f32, [low, high]: [f32; 2]| centre + reach >= low && centre - reach <= high;
-    let finite = splat.shear.is_finite() && splat.steepness > 0.0 && splat.steepness_y > 0.0;
-    (finite && meets(splat.x, reach_x, columns) && meets(splat.y, splat.reach_y, rows)).then_some(splat)
+    let finite = shear.is_finite() && steepness > 0.0 && steepness_y > 0.0;
+    let splat = Splat { x, y, shear, steepness, steepness_y, log2_opacity, z, reach_y, ..Splat::default() };
+    (finite && meets(x, reach_x, columns) && meets(y, reach_y, rows)).then_some(splat)
 }
 
-/// The gradient with respect to a projection.
-pub(super) struct ScreenGradient {
-    pub(super) mean: [f64; 2],
-    pub(super) z: f64,
-    pub(super) cov: [f64; 3],
-    /// Sums of absolute derivatives with respect to the mean, for density control.
-    pub(super) screen: [f32; 2],
-}
+/// A splat's `shear, steepness, steepness_y`, and `ΣG t, ΣG dy, ΣG t², ΣG t dy, ΣG dy²`, `∂L/∂z / ln 2` and
+/// `Σ|G t|` of its record.
+pub(super) type ScreenSums<V> = [V; 10];
 
-impl ScreenGradient {
-    /// Computes the gradient from the compositor's sums: the derivative of [`splat_of`].
-    #[inline(always)]
-    pub(super) fn of(splat: &Splat, s: &SplatGradient) -> Self {
-        let f = f64::from;
-        // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
-        let twice = 2.0 * std::f64::consts::LN_2;
-        let (k, a, b) = (f(splat.shear), f(splat.steepness) * twice, f(splat.steepness_y) * twice);
-        let mean = [a * f(s.t), k * a * f(s.t) + b * f(s.dy)];
-        let xx = a * a * f(s.t_t);
-        let xy = k * xx + a * b * f(s.t_dy);
-        let yy = k * (2.0 * xy - k * xx) + b * b * f(s.dy_dy);
-        Self {
-            mean,
-            z: f(s.z) * std::f64::consts::LN_2,
-            cov: [0.5 * xx, xy, 0.5 * yy],
-            screen: [(a * f(s.screen[0])) as f32, s.screen[1]],
-        }
-    }
+/// Computes the gradient with respect to a projection from the compositor's sums, which is the derivative of
+/// [`outline`], and the sum of absolute derivatives with respect to `x`.
+#[inline(always)]
+pub(super) fn screen_gradient<V: Number>(sums: &ScreenSums<V>) -> (Projection<V>, V) {
+    let &[k, steepness, steepness_y, t, dy, t_t, t_dy, dy_dy, z, along_x] = sums;
+    // v = conic · (pixel − centre) = (a t, shear a t + dy / cov_yy), a = conic_xx.
+    let twice = 2.0 * std::f64::consts::LN_2;
+    let (a, b) = (steepness * twice, steepness_y * twice);
+    let at = a * t;
+    let xx = a * a * t_t;
+    let xy = k.mul_add(xx, a * b * t_dy);
+    let yy = k.mul_add(xy + xy - k * xx, b * b * dy_dy);
+    let mean = [at, k.mul_add(at, b * dy)];
+    let cov = [xx * 0.5, xy, yy * 0.5];
+    (Projection { mean, z: z * std::f64::consts::LN_2, cov }, a * along_x)
 }
