@@ -135,9 +135,9 @@ fn the_rooms_of_splat_stand_one_below_the_other() {
 fn a_tiles_list_is_walked_in_one_place() {
     let place = "crates/splat/src/compose/lanes/";
     let files: Vec<(String, String)> = sources().into_iter().filter(|(f, _)| f.starts_with(place)).collect();
-    let walker = format!("{place}entries.rs");
+    let walker = format!("{place}batch.rs");
     // The code that reads the list, and the code that looks up a Gaussian in it.
-    assert_eq!(files_with(&files, &["list", "rows_of"]), set(&[&walker]));
+    assert_eq!(files_with(&files, &["list", "cells_met"]), set(&[&walker]));
     let kernels = ["forward", "backward", "colors", "linear"].map(|file| format!("{place}{file}.rs"));
     let kernels: BTreeSet<String> = kernels.into_iter().collect();
     assert_eq!(files_with(&files, &["walk"]), kernels.into_iter().chain([walker]).collect());

@@ -131,19 +131,19 @@ impl Tile {
 }
 
 /// The products of a pair of rows, blurred down columns.
-type Sums<const N: usize> = [[[f32; N]; 4]; 2];
+type WindowSums<const N: usize> = [[[f32; N]; 4]; 2];
 
 /// The right end of a pair of rows in the tile to the left.
 #[derive(Clone, Copy)]
 struct End {
     /// The sums that begin this tile.
-    sums: Sums<LANES>,
+    sums: WindowSums<LANES>,
     /// The derivatives of the windows before this tile's.
     derivatives: [[[f32; LANES]; 3]; 2],
 }
 
 /// The memory of a task.
-struct Band {
+struct RowBand {
     /// Floats from one row to the next: whole vectors.
     stride: usize,
     /// The rows of both images that are new in the band.
@@ -151,10 +151,10 @@ struct Band {
     tiles: Vec<Tile>,
     /// By pair of rows.
     ends: [End; BAND / 2],
-    sums: Sums<{ COLUMNS + LANES }>,
+    sums: WindowSums<{ COLUMNS + LANES }>,
 }
 
-impl Band {
+impl RowBand {
     fn new(width: usize) -> Self {
         let stride = width.next_multiple_of(LANES);
         let rows = || vec![0.0; stride * (BAND + MARGIN)];
@@ -178,7 +178,7 @@ impl<P: Pair> Scale<'_, P> {
             .into_par_iter()
             .enumerate()
             .map_init(
-                || Band::new(w),
+                || RowBand::new(w),
                 |band, (task, out)| {
                     let (channel, first) = (task / strips, (task % strips) * STRIP);
                     dispatch!(level, simd => self.strip(simd, &taps, channel, first, band, out))
@@ -198,7 +198,7 @@ impl<P: Pair> Scale<'_, P> {
         taps: &[f32; WINDOW],
         channel: usize,
         first: usize,
-        band: &mut Band,
+        band: &mut RowBand,
         out: &mut [f32],
     ) -> f64 {
         let (w, h) = self.pair.size();
@@ -211,7 +211,7 @@ impl<P: Pair> Scale<'_, P> {
             // The windows of the band reach below it.
             let new = read..(bottom + MARGIN).min(h);
             self.read_rows(simd, channel, new.clone(), band);
-            let Band { stride, rows: [xs, ys], tiles, ends, sums } = &mut *band;
+            let RowBand { stride, rows: [xs, ys], tiles, ends, sums } = &mut *band;
             for (t, tile) in tiles.iter_mut().enumerate() {
                 let column = t * COLUMNS;
                 let mut next = read;
@@ -237,7 +237,7 @@ impl<P: Pair> Scale<'_, P> {
 
     /// Reads rows of both images into the band.
     #[inline(always)]
-    fn read_rows<S: Simd>(&self, simd: S, channel: usize, rows: Range<usize>, band: &mut Band) {
+    fn read_rows<S: Simd>(&self, simd: S, channel: usize, rows: Range<usize>, band: &mut RowBand) {
         let (w, [xs, ys]) = (self.pair.size().0, &mut band.rows);
         for ((row, xs), ys) in rows.zip(xs.chunks_mut(band.stride)).zip(ys.chunks_mut(band.stride)) {
             let values = self.pair.row(channel, row);
@@ -257,7 +257,7 @@ impl<P: Pair> Scale<'_, P> {
         taps: &[f32; WINDOW],
         [row, column]: [usize; 2],
         tile: &mut Tile,
-        sums: &mut Sums<{ COLUMNS + LANES }>,
+        sums: &mut WindowSums<{ COLUMNS + LANES }>,
         end: &mut End,
     ) -> f64 {
         let (w, h) = self.pair.size();

@@ -17,7 +17,7 @@ const MADE: (usize, (usize, usize)) = (122_000, (640, 360));
 
 /// The figures and the limit beside which they stand.
 #[derive(Serialize)]
-struct Measured {
+struct SceneCost {
     limit: Limit,
     scene: SceneRecord,
 }
@@ -50,7 +50,7 @@ pub(crate) fn run(app: &App, args: &BenchSceneArgs) -> Done {
         return Err(WorkError::Failed("no thread can be started to measure the limit".into()));
     };
     let scene = measure(&subject, args.rounds, &limit).map_err(WorkError::failed)?;
-    let measured = Measured { limit, scene };
+    let measured = SceneCost { limit, scene };
     if args.json {
         return json(&measured);
     }
@@ -58,7 +58,7 @@ pub(crate) fn run(app: &App, args: &BenchSceneArgs) -> Done {
     Ok(())
 }
 
-fn print(Measured { limit, scene }: &Measured) {
+fn print(SceneCost { limit, scene }: &SceneCost) {
     println!(
         "limit of one thread ({}): the compositor takes {:.2} ns a pair in water, {:.2} ns without, where every \
          Gaussian covers every pixel",

@@ -4,10 +4,10 @@
 use std::error::Error;
 
 use use3d_capture::{Camera, FileName, Frame, Intrinsics, Lattice, MediumMaps, Pixels, Pose, Raster, View};
-use use3d_medium::{MediumKind, MediumModel, MediumStart};
+use use3d_medium::{MediumModel, MediumStart};
 use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
-use use3d_reconstruct::LoadedView;
+use use3d_reconstruct::{LoadedView, ReconstructParams};
 use use3d_scene::{Compositor, Scene};
 use use3d_splat::{Gaussians, Options, Rendered};
 
@@ -42,8 +42,9 @@ pub(super) fn made(
             std::array::from_fn(|c| (spread * z(10 + (3 * k + c) as u64)) as f32)
         }));
     }
-    let start = MediumStart { anchors: 16, top_k: 4, seed: 5, views: vec![camera.pose] };
-    let medium = MediumModel::start(MediumKind::Rbf, &start)?;
+    let ReconstructParams { medium, anchors, top_k, .. } = ReconstructParams::default();
+    let start = MediumStart { anchors, top_k, seed: 5, views: vec![camera.pose] };
+    let medium = MediumModel::start(medium, &start)?;
     let scene = Scene { gaussians, frame: Frame::IDENTITY, medium, medium_degree: 3, enhancement: None };
     let (lattice, mut maps) = (Lattice::full(&intrinsics), MediumMaps::zeros(0, 0));
     scene.look_through(&camera, &lattice, &mut maps);

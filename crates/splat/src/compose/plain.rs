@@ -52,7 +52,7 @@ impl Decay {
     fn new(water: &TileWater, z: f32) -> Self {
         let exponent: [f32; 6] = std::array::from_fn(|q| water.centre[q] * z);
         let [k0, k1, k2, k3] = SMALL_COEFFICIENTS;
-        let coefficients = (z <= water.near).then(|| [k0, k1 * z, k2 * (z * z), k3 * (z * z * z)]);
+        let coefficients = (z <= water.near).then_some([k0, k1 * z, k2 * (z * z), k3 * (z * z * z)]);
         let factor = if coefficients.is_some() { exponent.map(exp2) } else { [1.0; 6] };
         Self { z, coefficients, factor, exponent }
     }

@@ -4,8 +4,9 @@
 //! An entry of a tile's list stays if some pixel of the tile is still being composed at that entry and lies
 //! within its 1/255 contour: it then adds to the pixel or ends it. The compositor skips all other entries
 //! anyway, so images keep every bit, and so do gradients up to the order of their sums: a Gaussian that
-//! loses a tile in the middle of a row adds the tiles on both sides one after the other. On a sparse lattice (stage 2) most small Gaussians fall
-//! between the pixels of their tiles. A small view then also keeps its weights (see `weighted`).
+//! loses a tile in the middle of a row adds the tiles on both sides one after the other. On a sparse lattice
+//! (stage 2) most small Gaussians fall between the pixels of their tiles. A small view then also keeps its
+//! weights (see `weighted`).
 
 use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
@@ -22,9 +23,9 @@ const MARGIN: f32 = 1e-3;
 
 impl Rasterizer {
     /// Drops the entries of `prepared` that no pixel sees, and the Gaussians without entries. Images stay the
-    /// same to the bit, and gradients up to the order of their sums. A view of at most 16384 pixels also keeps
-    /// its weights, which makes composing and [`Rasterizer::backward_colors`] faster and changes the last
-    /// bits.
+    /// same to the bit, and gradients up to the order of their sums. A view of at most 16384 pixels also
+    /// keeps its weights, which makes composing and [`Rasterizer::backward_colors`] faster and changes the
+    /// last bits.
     pub fn trim(&mut self, prepared: &mut Prepared) {
         let stop = self.stops(prepared);
         let view = &*prepared;
@@ -44,8 +45,13 @@ impl Rasterizer {
 fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
     let old = &prepared.tile_rows[row];
     let tiles = prepared.columns.tiles();
-    // One flag per entry, in the order of spans.
+    // One flag per entry, in the order of spans, and the place of each span's first.
     let mut seen = vec![false; old.entries.len()];
+    let starts: Vec<usize> = old
+        .spans
+        .iter()
+        .scan(0, |end, span| Some(std::mem::replace(end, *end + span.count as usize)))
+        .collect();
     let splats = row_splats(prepared, row);
     for column in 0..tiles {
         let input = input(prepared, &splats, row, column);
@@ -55,8 +61,8 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
             let n = input.filled_columns;
             stops[..n].copy_from_slice(&stop[start..start + n]);
         }
-        for (k, &span) in old.list(column).iter().enumerate() {
-            let (splat, span) = (input.entry(k).1, &old.spans[span as usize]);
+        for (k, &at) in old.list(column).iter().enumerate() {
+            let (splat, first) = (input.entry(k).1, old.spans[at as usize].first as usize);
             let mut sees = false;
             for r in 0..input.filled_rows {
                 let terms = splat.row(input.rows[r]);
@@ -73,19 +79,17 @@ fn trimmed(prepared: &Prepared, stop: &[i32], row: usize) -> TileRow {
                     break;
                 }
             }
-            seen[(span.start + column as u32 - span.first) as usize] = sees;
+            seen[starts[at as usize] + column - first] = sees;
         }
     }
     let mut new = TileRow::default();
-    let mut start = 0;
-    for span in &old.spans {
+    for (span, start) in old.spans.iter().zip(starts) {
         let mut first = span.first;
-        let entries = &seen[span.start as usize..(span.start + span.count) as usize];
+        let entries = &seen[start..start + span.count as usize];
         for run in entries.chunk_by(|a, b| a == b) {
             let count = run.len() as u32;
             if run[0] {
-                new.spans.push(Span { rank: span.rank, first, count, start });
-                start += count;
+                new.spans.push(Span { rank: span.rank, first, count });
             }
             first += count;
         }

@@ -58,8 +58,6 @@ pub(crate) struct Span {
     /// The first tile and the number of tiles.
     pub(crate) first: u32,
     pub(crate) count: u32,
-    /// Position of its first entry among the row's gradient records.
-    pub(crate) start: u32,
 }
 
 /// One row of tiles.
@@ -152,7 +150,6 @@ impl RowInput<'_> {
     #[inline(always)]
     fn fill<S: Simd>(&self, simd: S, out: &mut TileRow) {
         out.spans.clear();
-        let mut start = 0;
         let first = f32x16::splat(simd, self.heights.0);
         let last = f32x16::splat(simd, self.heights.1);
         let (mut met, mut count) = ([0; LANES], 0);
@@ -168,18 +165,18 @@ impl RowInput<'_> {
                 count += 1;
                 bits &= bits - 1;
                 if count == LANES {
-                    self.spans(simd, &met, &mut start, out);
+                    self.spans(simd, &met, out);
                     count = 0;
                 }
             }
         }
-        self.spans(simd, &met[..count], &mut start, out);
+        self.spans(simd, &met[..count], out);
         out.list_spans(self.columns.tiles());
     }
 
     /// Adds the spans of at most [`LANES`] Gaussians that meet the row.
     #[inline(always)]
-    fn spans<S: Simd>(&self, simd: S, ranks: &[u32], start: &mut u32, out: &mut TileRow) {
+    fn spans<S: Simd>(&self, simd: S, ranks: &[u32], out: &mut TileRow) {
         let mut numbers = [[0.0; LANES]; 6];
         for (lane, &rank) in ranks.iter().enumerate() {
             let s = &self.splats[rank as usize];
@@ -194,9 +191,7 @@ impl RowInput<'_> {
             let x = self.splats[rank as usize].x;
             let (first, end) = self.columns.tiles_meeting(x + low[lane], x + high[lane]);
             if first < end {
-                let count = (end - first) as u32;
-                out.spans.push(Span { rank, first: first as u32, count, start: *start });
-                *start += count;
+                out.spans.push(Span { rank, first: first as u32, count: (end - first) as u32 });
             }
         }
     }

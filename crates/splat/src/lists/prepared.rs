@@ -229,9 +229,7 @@ impl Prepared {
     pub(crate) fn list_everything(&mut self) {
         let (tiles, n) = (self.columns.tiles(), self.splats.len());
         for row in &mut self.tile_rows {
-            row.spans = (0..n)
-                .map(|r| Span { rank: r as u32, first: 0, count: tiles as u32, start: (r * tiles) as u32 })
-                .collect();
+            row.spans = (0..n).map(|r| Span { rank: r as u32, first: 0, count: tiles as u32 }).collect();
             row.entries = (0..tiles).flat_map(|_| 0..n as u32).collect();
             row.offsets = (0..=tiles).map(|t| (t * n) as u32).collect();
         }

@@ -6,7 +6,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16, i32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
 
-use super::batch::{Batch, Items, Pass, walk};
+use super::batch::{EntryBatch, Items, Pass, walk};
 use super::decay::{Attenuate, ThroughWater, through};
 use super::sums::finish;
 use super::{accumulate, load, select};
@@ -68,7 +68,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Pass<S> for Backward<'_, '_
     }
 
     #[inline(always)]
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         self.weights(simd, batch);
         through::<_, WATER>(simd, self.water, batch, self);
     }
@@ -77,7 +77,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Pass<S> for Backward<'_, '_
 impl<S: Simd, const WATER: bool, const EXTRAS: bool> Backward<'_, '_, S, WATER, EXTRAS> {
     /// Undoes the entries: computes their weights, and the transmittances before them.
     #[inline(always)]
-    fn weights(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn weights(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         let c = |v: f32| f32x16::splat(simd, v);
         for item in batch.items() {
             let state = &mut self.tile.cells[item.cell];
@@ -95,7 +95,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Backward<'_, '_, S, WATER, 
 
     /// Sums over the items of each entry, and stores its record.
     #[inline(always)]
-    fn sums<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
+    fn sums<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
         for e in 0..batch.len() {
             let (at, splat) = batch.entries[e];
@@ -136,7 +136,7 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Backward<'_, '_, S, WATER, 
 impl<S: Simd, const WATER: bool, const EXTRAS: bool> ThroughWater<S> for Backward<'_, '_, S, WATER, EXTRAS> {
     /// Computes the pulls, the gradients of colours and depth, and the sums of the water's gradient.
     #[inline(always)]
-    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
         let water = self.water;
         let s_gradient = c(self.s_gradient);

@@ -41,7 +41,7 @@ pub(super) trait Pass<S: Simd> {
     }
 
     /// Handles a batch.
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>);
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>);
 }
 
 /// One vector of lanes for each item of a batch.
@@ -65,7 +65,7 @@ impl Items {
 }
 
 /// Consecutive entries of a tile's list, and the cells that they meet. The lanes of its arrays are entries.
-pub(super) struct Batch<'a, S: Simd> {
+pub(super) struct EntryBatch<'a, S: Simd> {
     centres: Centres<S>,
     /// The Gaussians' values, as [`Splat`] names them.
     x: Lanes,
@@ -90,13 +90,13 @@ pub(super) struct Batch<'a, S: Simd> {
 
 /// An item: its number, its cell, and its entry.
 #[derive(Clone, Copy)]
-pub(super) struct Item {
+pub(super) struct BatchItem {
     pub(super) number: usize,
     pub(super) cell: usize,
     pub(super) entry: usize,
 }
 
-impl<'a, S: Simd> Batch<'a, S> {
+impl<'a, S: Simd> EntryBatch<'a, S> {
     #[inline(always)]
     fn new(simd: S, input: &TileInput<'a>, first: (usize, &'a Splat)) -> Self {
         let zero = [0.0; TILE];
@@ -156,21 +156,21 @@ impl<'a, S: Simd> Batch<'a, S> {
 
     /// All items, in the order of entries, then of cells.
     #[inline(always)]
-    pub(super) fn items(&self) -> impl Iterator<Item = Item> + '_ {
+    pub(super) fn items(&self) -> impl Iterator<Item = BatchItem> + '_ {
         self.between(0..self.starts[self.count])
     }
 
     /// The items of entry `e`.
     #[inline(always)]
-    pub(super) fn items_of(&self, e: usize) -> impl Iterator<Item = Item> + '_ {
+    pub(super) fn items_of(&self, e: usize) -> impl Iterator<Item = BatchItem> + '_ {
         self.between(self.starts[e]..self.starts[e + 1])
     }
 
     #[inline(always)]
-    fn between(&self, numbers: Range<usize>) -> impl Iterator<Item = Item> + '_ {
+    fn between(&self, numbers: Range<usize>) -> impl Iterator<Item = BatchItem> + '_ {
         let cells = self.cells[numbers.clone()].iter().zip(&self.owners[numbers.clone()]);
         // The masks show the compiler that the indices are in range.
-        numbers.zip(cells).map(|(number, (&cell, &entry))| Item {
+        numbers.zip(cells).map(|(number, (&cell, &entry))| BatchItem {
             number: number.min(ITEMS - 1),
             cell: usize::from(cell) & (CELLS - 1),
             entry: usize::from(entry) & (ENTRIES - 1),
@@ -179,7 +179,7 @@ impl<'a, S: Simd> Batch<'a, S> {
 
     /// Returns `t` and `dy` of the pixels of an item.
     #[inline(always)]
-    pub(super) fn offsets(&self, simd: S, item: Item) -> [f32x16<S>; 2] {
+    pub(super) fn offsets(&self, simd: S, item: BatchItem) -> [f32x16<S>; 2] {
         let c = |lanes: &Lanes| f32x16::splat(simd, lanes[item.entry]);
         let dy = self.centres.rows[item.cell / CELL] - c(&self.y);
         let peak = c(&self.shear).mul_add(-dy, c(&self.x));
@@ -188,7 +188,7 @@ impl<'a, S: Simd> Batch<'a, S> {
 
     /// Returns `log₂ α` of the pixels of an item, before the clamp.
     #[inline(always)]
-    pub(super) fn log2_alpha(&self, simd: S, item: Item) -> f32x16<S> {
+    pub(super) fn log2_alpha(&self, simd: S, item: BatchItem) -> f32x16<S> {
         let c = |lanes: &Lanes| f32x16::splat(simd, lanes[item.entry]);
         let [t, dy] = self.offsets(simd, item);
         let power = c(&self.steepness_y).mul_add(-(dy * dy), c(&self.log2_opacity));
@@ -270,7 +270,7 @@ pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &TileI
         count => count - 1,
     };
     let rows = load(simd, input.rows);
-    let mut batch = Batch::new(simd, input, input.entry(0));
+    let mut batch = EntryBatch::new(simd, input, input.entry(0));
     let mut step = 0;
     while step <= last && (P::RECORDS || pass.open(simd, step) != 0) {
         batch.count = 0;

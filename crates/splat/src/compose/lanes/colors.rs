@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 
-use super::batch::{Batch, Items, Pass, walk};
+use super::batch::{EntryBatch, Items, Pass, walk};
 use super::decay::{Attenuate, ThroughWater, through};
 use super::front::Front;
 use super::sums::sums;
@@ -48,7 +48,7 @@ impl<S: Simd, const WATER: bool> Pass<S> for ColorsBackward<'_, '_, WATER> {
     }
 
     #[inline(always)]
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         self.front.apply(simd, batch);
         through::<_, WATER>(simd, self.water, batch, self);
     }
@@ -56,7 +56,7 @@ impl<S: Simd, const WATER: bool> Pass<S> for ColorsBackward<'_, '_, WATER> {
 
 impl<S: Simd, const WATER: bool> ThroughWater<S> for ColorsBackward<'_, '_, WATER> {
     #[inline(always)]
-    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
         let weights = &self.front.weights;
         for item in batch.items() {

@@ -7,7 +7,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 use use3d_numerics::lanes::{SMALL_COEFFICIENTS, exp2_lanes};
 
-use super::batch::Batch;
+use super::batch::EntryBatch;
 use super::load;
 use crate::compose::tile::{Lanes, TileWater};
 use crate::lists::TILE;
@@ -31,7 +31,7 @@ pub(super) trait Attenuate<S: Simd> {
 
 /// Work on the items of a batch, written for any [`Attenuate`].
 pub(super) trait ThroughWater<S: Simd> {
-    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A);
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A);
 }
 
 /// Chooses the case for a batch, whose entries all lie on one side of the depth `water.near`.
@@ -39,7 +39,7 @@ pub(super) trait ThroughWater<S: Simd> {
 pub(super) fn through<S: Simd, const WATER: bool>(
     simd: S,
     water: &TileWater,
-    batch: &Batch<'_, S>,
+    batch: &EntryBatch<'_, S>,
     pass: &mut impl ThroughWater<S>,
 ) {
     if !WATER {

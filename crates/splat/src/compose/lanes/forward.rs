@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, f32x16};
 
-use super::batch::{Batch, Pass, walk};
+use super::batch::{EntryBatch, Pass, walk};
 use super::decay::{Attenuate, ThroughWater, through};
 use super::front::Front;
 use super::{accumulate, load, select};
@@ -39,7 +39,7 @@ impl<S: Simd, const WATER: bool, const LAYERS: bool> Pass<S> for Forward<'_, WAT
     }
 
     #[inline(always)]
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         self.front.apply(simd, batch);
         through::<_, WATER>(simd, self.water, batch, self);
     }
@@ -47,7 +47,7 @@ impl<S: Simd, const WATER: bool, const LAYERS: bool> Pass<S> for Forward<'_, WAT
 
 impl<S: Simd, const WATER: bool, const LAYERS: bool> ThroughWater<S> for Forward<'_, WATER, LAYERS> {
     #[inline(always)]
-    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &Batch<'_, S>, decay: &A) {
+    fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A) {
         let c = |v: f32| f32x16::splat(simd, v);
         for item in batch.items() {
             let e = item.entry;

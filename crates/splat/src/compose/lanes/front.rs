@@ -4,7 +4,7 @@
 use fearless_simd::{Simd, SimdBase, SimdMask, f32x16, i32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
 
-use super::batch::{Batch, Items};
+use super::batch::{EntryBatch, Items};
 use super::{load, select};
 use crate::compose::tile::{ALPHA_MAX, CELL, CELLS, ForwardTile, NEVER, STOP, TileInput};
 use crate::project::LOG2_255;
@@ -32,7 +32,7 @@ impl<'a> Front<'a> {
     /// Applies a batch: computes its weights, and updates transmittances and stops. A cell is no longer
     /// alive after a batch in which the last of its pixels has stopped.
     #[inline(always)]
-    pub(super) fn apply<S: Simd>(&mut self, simd: S, batch: &Batch<'_, S>) {
+    pub(super) fn apply<S: Simd>(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         let c = |v: f32| f32x16::splat(simd, v);
         let never = i32x16::splat(simd, NEVER);
         for item in batch.items() {

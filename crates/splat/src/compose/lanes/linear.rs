@@ -2,7 +2,7 @@
 
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 
-use super::batch::{Batch, ENTRIES, Pass, walk};
+use super::batch::{ENTRIES, EntryBatch, Pass, walk};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
@@ -37,7 +37,7 @@ impl<S: Simd, F: Fn(u32) -> [f32; CHANNELS], const C: usize> Pass<S> for Splatti
     }
 
     #[inline(always)]
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         self.front.apply(simd, batch);
         let mut values = [[0.0; CHANNELS]; ENTRIES];
         for (out, (_, splat)) in values.iter_mut().zip(&batch.entries[..batch.len()]) {
@@ -80,7 +80,7 @@ impl<S: Simd, const C: usize> Pass<S> for Adjoint<'_, '_, C> {
     }
 
     #[inline(always)]
-    fn batch(&mut self, simd: S, batch: &Batch<'_, S>) {
+    fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>) {
         self.front.apply(simd, batch);
         for e in 0..batch.len() {
             let mut lanes = [f32x16::splat(simd, 0.0); CHANNELS];

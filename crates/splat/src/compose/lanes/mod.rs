@@ -1,5 +1,5 @@
-//! The compositor on 16 lanes: one cell of 4×4 pixels is one vector. Every function here is the lane form of the
-//! function of the same name in [`plain`](crate::compose::plain), with the same operations in the same
+//! The compositor on 16 lanes: one cell of 4×4 pixels is one vector. Every function here is the lane form of
+//! the function of the same name in [`plain`](crate::compose::plain), with the same operations in the same
 //! order per pixel and per sum.
 //!
 //! The outer loop inside a tile runs over batches of Gaussians: the tile's pixel state stays in the
