@@ -520,7 +520,8 @@ const MIDDLE: f64 = 230_400.0;
 
 /// Half size, then full size: the larger the photographs are, the longer half size shows all that is learnt.
 fn by_size(pixels: f64) -> [(f64, usize); 2] {
-    [(0.0, 2), ((0.4 + 0.05 * math::log2(pixels.max(1.0) / MIDDLE)).clamp(0.2, 0.6), 1)]
+    let percent = 40.0 + 5.0 * math::log2(pixels.max(1.0) / MIDDLE);
+    [(0.0, 2), (percent.round().clamp(20.0, 60.0) / 100.0, 1)]
 }
 
 #[cfg(test)]
