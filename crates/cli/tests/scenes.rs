@@ -125,7 +125,7 @@ fn a_scene_is_delivered_when_it_is_finished_whatever_becomes_of_the_others() {
     let text = table(&batch);
     let row =
         |scene: &str| text.lines().find(|line| line.starts_with(&format!("| {scene} "))).expect("a row");
-    assert!(scenes.iter().all(|s| row(s).contains("| n/a | n/a |") == (s == broken)), "{text}");
+    assert!(scenes.iter().all(|s| row(s).contains("| n/a | n/a | n/a | n/a |") == (s == broken)), "{text}");
     assert!(text.contains(&format!("n/a: {broken}: `import` failed")), "{text}");
 
     // Without --keep-going the run ends there, and removes nothing.

@@ -58,7 +58,7 @@ pub enum MetricError {
         side: usize,
     },
     /// The photograph has too few straight step edges.
-    #[error("the photograph has {found} straight step edges; a width needs at least {least}")]
+    #[error("the photograph has {found} of the {least} straight step edges that a width needs")]
     FewEdges {
         /// Edges found.
         found: usize,

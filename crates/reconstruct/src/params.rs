@@ -316,7 +316,7 @@ impl Default for ReconstructParams {
             structure_weight: 0.2,
             sh_degree: 3,
             sh_every: 1.0 / 15.0,
-            resolution_schedule: Vec::new(),
+            resolution_schedule: vec![(0.0, 2), (0.2, 1)],
             initial_opacity: 0.1,
             random_points: 10_000,
             learning_rates: LearningRates::default(),
@@ -551,8 +551,16 @@ mod tests {
     }
 
     #[test]
-    fn a_default_run_sees_the_full_size_later_on_larger_photographs() {
+    fn a_default_run_sees_the_full_size_after_a_fifth() {
         let p = ReconstructParams::default();
+        p.validate().unwrap();
+        assert_eq!([0, 599, 600, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
+        assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
+    }
+
+    #[test]
+    fn without_a_schedule_the_full_size_comes_later_on_larger_photographs() {
+        let p = ReconstructParams { resolution_schedule: Vec::new(), ..ReconstructParams::default() };
         p.validate().unwrap();
         assert_eq!([0, 1199, 1200, 2999].map(|s| p.divisor(s)), [2, 2, 1, 1]);
         for (width, height, from) in [(80, 45, 600), (320, 180, 900), (640, 360, 1200), (1280, 720, 1500)] {
@@ -561,7 +569,6 @@ mod tests {
         }
         let given = ReconstructParams { resolution_schedule: vec![(0.0, 1)], ..p.clone() };
         assert_eq!(given.sized(1e6), given);
-        assert_eq!((p.densify_end(), p.warm_up()), (2000, 300));
     }
 
     #[test]
