@@ -44,7 +44,7 @@ pub trait Number:
     fn at_most(self, other: Self) -> Self::Mask;
     /// `yes` where the mask is true, otherwise `no`.
     fn select(mask: Self::Mask, yes: Self, no: Self) -> Self;
-    /// `2^n` from `n + `[`MAGIC`], for `n` in `[-1022, 1023]`.
+    /// `2^n` from `n` plus the magic number, for `n` in `[-1022, 1023]`.
     fn power_of_two(self) -> Self;
 }
 

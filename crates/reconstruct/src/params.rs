@@ -567,7 +567,7 @@ mod tests {
             let sized = p.sized((width * height) as f64);
             assert_eq!([0, from - 1, from].map(|s| sized.divisor(s)), [2, 2, 1], "{width}");
         }
-        let given = ReconstructParams { resolution_schedule: vec![(0.0, 1)], ..p.clone() };
+        let given = ReconstructParams { resolution_schedule: vec![(0.0, 1)], ..p };
         assert_eq!(given.sized(1e6), given);
     }
 
