@@ -75,8 +75,8 @@ pub struct Densify {
     pub shrink: f64,
     /// The choice of the Gaussians that are split or duplicated.
     pub candidates: Candidates,
-    /// Number of training views that are rendered before a refinement, for `candidates`, `split_floor` and
-    /// `far_gain`.
+    /// Number of training views that are rendered before a refinement, for `candidates` and
+    /// `split_floor`.
     pub views: usize,
     /// Weight λ of edges in the errors of `candidates = "error"`: an error at a strong edge of the
     /// photograph counts 1 + λ times.
@@ -88,9 +88,6 @@ pub struct Densify {
     /// Gaussians are not split or duplicated if the children's size on the screen, the geometric mean of
     /// their standard deviations in pixels, would be below this in all rendered views. 0: any are.
     pub split_floor: f64,
-    /// Gaussians behind water are pulled more, by one over the share of their light that arrives, but at most
-    /// by this factor. 1: all are pulled alike.
-    pub far_gain: f64,
     /// Gaussians below this opacity are removed while densifying.
     pub cull_opacity: f64,
     /// The opacity below which Gaussians are removed afterwards, at every refinement to the end.
@@ -142,7 +139,6 @@ impl Default for Densify {
             edge_weight: 1.0,
             budget: 0,
             split_floor: 0.0,
-            far_gain: 1.0,
             cull_opacity: 0.5,
             cull_opacity_late: 0.1,
             gentle_below: 2000,
@@ -188,7 +184,6 @@ impl Densify {
         at_least("densify.views", d.views as u64, 1)?;
         not_negative("densify.edge_weight", d.edge_weight)?;
         not_negative("densify.split_floor", d.split_floor)?;
-        within("densify.far_gain", d.far_gain, 1.0, 1000.0)?;
         positive("densify.gradient_threshold", d.gradient_threshold)?;
         not_negative("densify.split_threshold", d.split_threshold)?;
         share("densify.size_exponent", d.size_exponent)?;

@@ -9,8 +9,8 @@ use use3d_capture::{
 use use3d_enhance::EnhanceView;
 use use3d_medium::{MediumModel, MediumRbf};
 use use3d_numerics::math;
-use use3d_reconstruct::engine::{Degrees, Moves, StepPlan, StepRates, TrainingState};
-use use3d_reconstruct::{LoadedView, ReconstructParams, TrainingView, losses};
+use use3d_reconstruct::engine::{StepPlan, StepRates, TrainingState};
+use use3d_reconstruct::{LoadedView, ReconstructParams, TrainingView};
 use use3d_scene::Scene;
 use use3d_splat::Gaussians;
 use use3d_training::EngineError;
@@ -145,11 +145,6 @@ impl SceneSize {
         let params = ReconstructParams::default();
         let r = &params.learning_rates;
         StepPlan {
-            step,
-            moves: Moves::All,
-            water_updates: step,
-            divisor: 1,
-            degrees: Degrees { colors: 3, water: 3 },
             rates: StepRates {
                 means: r.means.0,
                 sh_constant: r.sh_constant.0,
@@ -161,12 +156,8 @@ impl SceneSize {
                 medium_directional: r.medium_directional.0,
                 medium_network: r.medium_network.0,
             },
-            weights: losses::weights(&params, step),
-            depth_gradient: true,
-            network_clip: 0.0,
-            colors: None,
-            exposure: None,
             gather: Some(params.densify.gradient_scale()),
+            ..StepPlan::at_full_size(&params, step)
         }
     }
 }

@@ -21,8 +21,8 @@ pub(super) fn made(
     let focal = 0.8 * w;
     let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx: 0.5 * w, cy: 0.5 * h };
     let camera = Camera { intrinsics, pose: Pose::IDENTITY };
-    // A pixel and a bit in a scene of 122,000 Gaussians at 640×360, and so that as many lie on every pixel in
-    // others.
+    // Gaussians are about a pixel wide if there are 122,000 of them at 640×360. In other scenes the size is
+    // such that as many lie on every pixel.
     let pixels = 0.66 * (w * h / 230_400.0 * 122_000.0 / count.max(1) as f64).sqrt();
     let mut gaussians = Gaussians::empty(3);
     for i in 0..count as u64 {

@@ -12,8 +12,8 @@ use std::error::Error;
 use serde::Serialize;
 use use3d_capture::{Capture, Lattice};
 use use3d_import::{load_depth_prior, load_mask, load_pixels};
-use use3d_reconstruct::engine::{CpuEngine, Degrees, Engine, Moves, StepPlan, TrainingState};
-use use3d_reconstruct::{LoadedView, ReconstructParams, StepPart, TrainingView, losses};
+use use3d_reconstruct::engine::{CpuEngine, Engine, StepPlan, TrainingState};
+use use3d_reconstruct::{LoadedView, ReconstructParams, StepPart, TrainingView};
 use use3d_scene::Scene;
 use use3d_splat::{Colors, Prepared};
 use use3d_training::{Drain, Part};
@@ -93,7 +93,8 @@ pub fn measure(subject: &Subject, rounds: usize, limit: &Limit) -> Result<SceneR
     for view in views {
         engine.upload(view.clone())?;
     }
-    let plan = last_step();
+    let params = ReconstructParams::default();
+    let plan = StepPlan::at_full_size(&params, params.iterations - 1);
     let (mut contributing, mut tested, mut entries, mut pixels) = (0, 0, 0, 0);
     let mut best = vec![0.0; StepPart::ALL.len()];
     for (index, view) in views.iter().enumerate() {
@@ -142,26 +143,6 @@ pub fn measure(subject: &Subject, rounds: usize, limit: &Limit) -> Result<SceneR
         share: 1e-6 * dense * contributing as f64 / views.len() as f64 / threads as f64 / raster,
         parts,
     })
-}
-
-/// The last step of a default training at full size.
-fn last_step() -> StepPlan {
-    let params = ReconstructParams::default();
-    let step = params.iterations - 1;
-    StepPlan {
-        step,
-        moves: Moves::All,
-        water_updates: step,
-        divisor: 1,
-        degrees: Degrees { colors: 3, water: 3 },
-        rates: params.rates(&params.phases(false), step).0,
-        weights: losses::weights(&params, step),
-        depth_gradient: params.depth_gradient,
-        network_clip: params.network_clip,
-        exposure: None,
-        colors: None,
-        gather: None,
-    }
 }
 
 #[cfg(test)]

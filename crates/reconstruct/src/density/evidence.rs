@@ -1,22 +1,19 @@
-//! Evidence of several training views for growth: errors, sizes on the screen, and what arrives through the
-//! water.
+//! Evidence of several training views for growth: errors, and sizes on the screen.
 //!
 //! Before a refinement some views `v` are rendered at a longer side of at most [`SIDE`] pixels. With the
 //! compositor's weights `w_iv(p) = T α`, the photograph `I`, the render `Î` and the luminance's gradient `g`:
 //!
 //! ```text
-//! score_i   = Σ_v Σ_p w_iv(p) e_v(p)          e = mean over channels of |I − Î| · (1 + λ g/(g + ḡ))
-//! size_i    = max_v of the geometric mean of its standard deviations on the screen, pixels at full size
-//! arrived_i = Σ_v ω_iv exp(−β s) / Σ_v ω_iv   ω = Σ_p w, β the least attenuation of its channels there
+//! score_i = Σ_v Σ_p w_iv(p) e_v(p)          e = mean over channels of |I − Î| · (1 + λ g/(g + ḡ))
+//! size_i  = max_v of the geometric mean of its standard deviations on the screen, pixels at full size
 //! ```
 //!
 //! `ḡ` is the mean of `g` over the view, so that an edge counts up to `1 + λ` times. The views are drawn by
 //! seed and step, one from each of equal parts of the capture. Errors contain what a colour field adds to a
-//! view. A Gaussian that no drawn view sees has no score, counts as large, and as if everything arrived.
+//! view. A Gaussian that no drawn view sees has no score, and counts as large.
 
 use rayon::prelude::*;
 use use3d_capture::{Camera, Image, Lattice, Map, MediumMaps, Raster};
-use use3d_numerics::math;
 use use3d_numerics::random::{Purpose, Stream};
 use use3d_splat::{Colors, Options, Prepared, Rasterizer, Rendered};
 
@@ -35,8 +32,6 @@ const VIEWS: Purpose = Purpose::new("views of growth");
 pub struct Evidence {
     /// Shares of the error of the rendered views.
     pub scores: Vec<f32>,
-    /// Factors of the pull.
-    pub gains: Vec<f32>,
     /// True if children would be smaller than the screen resolves.
     pub too_small: Vec<bool>,
 }
@@ -57,7 +52,7 @@ struct GrowthView {
 impl Densify {
     /// True if a rule of growth looks at views.
     pub(crate) fn looks(&self) -> bool {
-        self.candidates == Candidates::Error || self.split_floor > 0.0 || self.far_gain > 1.0
+        self.candidates == Candidates::Error || self.split_floor > 0.0
     }
 }
 
@@ -94,59 +89,35 @@ impl GrowthViews {
         if self.0.is_empty() {
             return Evidence::default();
         }
-        let (scored, far) = (densify.candidates == Candidates::Error, densify.far_gain > 1.0);
+        let scored = densify.candidates == Candidates::Error;
         let (mut rasterizer, mut prepared) = (Rasterizer::new(), Prepared::new());
         let (mut maps, mut rendered, mut exposed) =
             (MediumMaps::zeros(0, 0), Rendered::new(), Image::new(0, 0));
-        let (mut planes, mut lifted) = (Vec::new(), vec![0.0f32; 3 * n]);
+        let (mut errors, mut of_view) = (Vec::new(), vec![0.0f32; n]);
         let (mut scores, mut sizes) = (vec![0.0f32; n], vec![0.0f32; n]);
-        let mut arrived = vec![[0.0f32; 2]; n];
         for view in self.drawn(densify.views, draws) {
             let lattice = Lattice::full(&view.camera.intrinsics);
-            let pixels = lattice.width() * lattice.height();
-            state.medium.maps(&view.camera, &lattice, degrees.water, &mut maps);
             prepared.prepare(gaussians, &view.camera, &lattice, Colors::Sh { degree: degrees.colors });
-            let mut of_view = vec![0.0f32; n];
+            of_view.fill(0.0);
             prepared.raise_sizes(&mut of_view);
             sizes.iter_mut().zip(&of_view).for_each(|(most, size)| {
                 *most = most.max(at_full_size(*size, view.divisor));
             });
-            planes.clear();
+            if !scored {
+                continue;
+            }
+            state.medium.maps(&view.camera, &lattice, degrees.water, &mut maps);
             let water = (!state.medium.is_none()).then_some(&maps);
-            if scored {
-                rasterizer.forward(&prepared, water, &Options::default(), &mut rendered);
-                expose(&rendered.image, state.exposures.gain(view.index), &mut exposed);
-                view.errors(&exposed, densify.edge_weight as f32, &mut planes);
-            }
-            planes.resize(pixels, 0.0);
-            match water {
-                Some(maps) => {
-                    let [r, g, b] = maps.attenuation.planes();
-                    planes.extend((0..pixels).map(|p| r[p].min(g[p]).min(b[p])));
-                }
-                None => planes.resize(2 * pixels, 0.0),
-            }
-            planes.resize(3 * pixels, 1.0);
-            rasterizer.splat_adjoint(&prepared, 3, &planes, &mut lifted);
-            let center = view.camera.pose.center().as_vec3().to_array();
-            let rows = scores.par_iter_mut().zip(&mut arrived).zip(lifted.par_chunks_exact(3));
-            rows.zip(&gaussians.means).for_each(|(((score, arrived), lifted), at)| {
-                *score += lifted[0];
-                if lifted[2] > 0.0 {
-                    let s = (0..3).map(|k| (at[k] - center[k]) * (at[k] - center[k])).sum::<f32>().sqrt();
-                    arrived[0] += lifted[2] * math::exp(-lifted[1] / lifted[2] * s);
-                    arrived[1] += lifted[2];
-                }
-            });
+            rasterizer.forward(&prepared, water, &Options::default(), &mut rendered);
+            expose(&rendered.image, state.exposures.gain(view.index), &mut exposed);
+            errors.clear();
+            view.errors(&exposed, densify.edge_weight as f32, &mut errors);
+            rasterizer.splat_adjoint(&prepared, 1, &errors, &mut of_view);
+            scores.iter_mut().zip(&of_view).for_each(|(score, share)| *score += share);
         }
         let least = (densify.split_floor * draws.shrinkage()) as f32;
-        let gain = |[arrived, seen]: [f32; 2]| match arrived > 0.0 {
-            true => (seen / arrived).min(densify.far_gain as f32),
-            false => 1.0,
-        };
         Evidence {
             scores: if scored { scores } else { Vec::new() },
-            gains: if far { arrived.into_iter().map(gain).collect() } else { Vec::new() },
             too_small: match densify.split_floor > 0.0 {
                 true => sizes.iter().map(|size| *size > 0.0 && *size < least).collect(),
                 false => Vec::new(),
@@ -206,7 +177,8 @@ fn at_full_size(size: f32, divisor: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use use3d_capture::{FileName, Intrinsics, Pixels, Pose, View};
-    use use3d_medium::{MediumGlobal, MediumModel};
+    use use3d_medium::MediumModel;
+    use use3d_numerics::math;
 
     use super::*;
     use crate::LoadedView;
@@ -270,7 +242,7 @@ mod tests {
             .map(|(_, v)| 2.0 * v * v)
             .sum();
         assert!((plain.scores[1] - covered).abs() < 0.02 * covered, "{} for {covered}", plain.scores[1]);
-        assert!(plain.gains.is_empty() && plain.too_small.is_empty());
+        assert!(plain.too_small.is_empty());
         // Edges of the photograph: the first disc alone has some.
         let mut brighter = photograph.clone();
         brighter.data_mut().iter_mut().for_each(|v| *v *= 0.5);
@@ -305,23 +277,9 @@ mod tests {
     }
 
     #[test]
-    fn far_gaussians_are_pulled_more_and_small_ones_are_left() {
-        let mut state = discs();
-        let mut water = MediumGlobal::default();
-        // softplus(x) of the attenuation: 0.3, with less for red.
-        let raw = |beta: f64| (math::ln(math::exp_m1(beta)) / 0.282_094_791_773_878) as f32;
-        water.coefficients[2][0] = [raw(0.2), raw(0.3), raw(0.3)];
-        state.medium = MediumModel::Global(water);
+    fn small_gaussians_are_left() {
+        let state = discs();
         let views = [view(&Image::new(64, 48), None)];
-        let far = found(&views, &state, &Densify { far_gain: 3.0, ..Densify::default() });
-        let distance = |i: usize| state.gaussians.means[i].iter().map(|v| v * v).sum::<f32>().sqrt();
-        for i in 0..2 {
-            let expected = math::exp(0.2 * distance(i));
-            assert!((far.gains[i] - expected).abs() < 1e-2 * expected, "{:?} for {expected}", far.gains);
-        }
-        assert_eq!((far.gains[3], far.scores.len()), (1.0, 0));
-        let bounded = found(&views, &state, &Densify { far_gain: 2.0, ..Densify::default() });
-        assert_eq!((bounded.gains[2], bounded.gains[0]), (2.0, far.gains[0]));
         // Standard deviations are 1.5 pixels, with the blur 1.6; children are smaller by 1.3.
         let small =
             |split_floor| found(&views, &state, &Densify { split_floor, ..Densify::default() }).too_small;

@@ -15,7 +15,7 @@
 //! start with zero moments.
 //!
 //! Other rules are settings: children on the long axis ([`Draws::child`]), a choice by errors, a floor of
-//! sizes and a gain behind water ([`Evidence`]), and a budget.
+//! sizes ([`Evidence`]), and a budget.
 //!
 //! An engine returns a [`Survey`]; [`plan`] computes the rows of the refined scene, and [`rebuilt`] the
 //! content of each row. Both are functions of their arguments alone, so that every engine refines alike: it
@@ -46,7 +46,7 @@ pub struct Survey {
     pub log_sizes: Vec<f32>,
     /// Screen gradients since the last refinement.
     pub statistics: Statistics,
-    /// What several views show, if a rule looks at them.
+    /// The evidence of several views; empty if no rule looks at them.
     pub evidence: Evidence,
 }
 
@@ -115,10 +115,9 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     let faint = logit(settings.cull_opacity);
     let wide = |i: usize| largest(i) > settings.split_scale;
     // In units of the threshold of duplicates, so that splits and duplicates can be compared.
-    let gain = |i: usize| evidence.gains.get(i).map_or(1.0, |gain| f64::from(*gain));
     let pull = |i: usize| match settings.split_threshold {
-        Some(split) if wide(i) => gain(i) * statistics.absolute_mean(i) * settings.gradient_threshold / split,
-        _ => gain(i) * statistics.mean(i),
+        Some(split) if wide(i) => statistics.absolute_mean(i) * settings.gradient_threshold / split,
+        _ => statistics.mean(i),
     };
     let pulled = |i: usize| pull(i) > settings.gradient_threshold;
     let radius = |i: usize| f64::from(statistics.radii.get(i).copied().unwrap_or(0.0));
@@ -145,7 +144,7 @@ pub fn plan(survey: &Survey, settings: &RefineSettings) -> (Vec<Origin>, RefineR
     let mut grow = vec![false; n];
     if settings.grow {
         let may = |i: usize| keep[i] && !evidence.too_small.get(i).is_some_and(|small| *small);
-        let rank = |i: usize| evidence.scores.get(i).map_or_else(|| pull(i), |s| gain(i) * f64::from(*s));
+        let rank = |i: usize| evidence.scores.get(i).map_or_else(|| pull(i), |score| f64::from(*score));
         let wanted = match settings.budget {
             Some(budget) => budget.saturating_sub(survivors),
             None => (0..n).filter(|&i| may(i) && pulled(i)).count(),
@@ -320,11 +319,9 @@ mod tests {
         assert_eq!(born(&s, &to(90)), [Twin(0), Twin(1), Twin(2)], "the last one was not seen");
         let (rows, report) = plan(&s, &RefineSettings { most: 5, ..to(6) });
         assert_eq!((rows.len(), report.held_back), (5, 1));
-        // What is far counts more, and what the screen does not resolve is left alone.
-        s.evidence.gains = vec![3.0, 1.0, 1.4, 1.0];
-        assert_eq!(born(&s, &to(6)), [Twin(0), Twin(1)]);
-        s.evidence.too_small = vec![true, false, false, false];
-        assert_eq!(born(&s, &to(6)), [Twin(1), Twin(2)]);
+        // A Gaussian that the screen does not resolve is left alone.
+        s.evidence.too_small = vec![false, true, false, false];
+        assert_eq!(born(&s, &to(6)), [Twin(0), Twin(2)]);
     }
 
     #[test]
@@ -333,8 +330,6 @@ mod tests {
         let (_, mut s) = scene(&[(2.0, 1e-4, 1e-3), (2.0, 1e-4, 0.0), (2.0, 1e-4, 9e-4), (2.0, 1e-4, 0.0)]);
         s.evidence.scores = vec![0.1, 0.4, 0.2, 0.3];
         assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(1), Twin(3)]);
-        s.evidence.gains = vec![5.0, 1.0, 1.0, 1.0];
-        assert_eq!(plan(&s, &SETTINGS).0[4..], [Twin(0), Twin(1)]);
     }
 
     #[test]

@@ -40,6 +40,7 @@ use crate::density::{Draws, Origin, Survey};
 use crate::exposure::ExposureStep;
 use crate::profile::StepPart;
 use crate::views::TrainingView;
+use crate::{ReconstructParams, losses};
 
 /// This step's learning rates.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,6 +116,27 @@ pub struct StepPlan {
     pub colors: Option<ColorStep>,
     /// The scale of screen gradients for the size of the images; `None` if none are gathered.
     pub gather: Option<GradientScale>,
+}
+
+impl StepPlan {
+    /// A step at full size and all degrees, in which Gaussians and water move, without gains, colour field
+    /// and statistics. For measurements; the loop makes its own plans.
+    pub fn at_full_size(params: &ReconstructParams, step: u64) -> Self {
+        Self {
+            step,
+            moves: Moves::All,
+            water_updates: step,
+            divisor: 1,
+            degrees: Degrees { colors: 3, water: 3 },
+            rates: params.rates(&params.phases(false), step).0,
+            weights: losses::weights(params, step),
+            depth_gradient: params.depth_gradient,
+            network_clip: params.network_clip,
+            exposure: None,
+            colors: None,
+            gather: None,
+        }
+    }
 }
 
 /// The result of a step.

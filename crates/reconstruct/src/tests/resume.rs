@@ -164,7 +164,6 @@ fn every_rule_of_growth_gives_the_same_scene_on_any_number_of_threads_and_after_
         views: 3,
         budget: 500,
         split_floor: 0.6,
-        far_gain: 3.0,
         until: 0.7,
         ..params.densify
     };

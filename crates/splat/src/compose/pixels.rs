@@ -2,7 +2,7 @@
 //!
 //! These functions are always inlined, so that the lane code's instruction set applies to these loops too.
 
-use fearless_simd::{Simd, SimdBase, SimdFloat, f32x4, f32x16};
+use fearless_simd::{Simd, SimdBase, f32x4, f32x16};
 
 use super::tile::{CELL, CELLS, Lanes, place};
 use crate::lists::{Prepared, TILE};
@@ -115,16 +115,14 @@ pub(super) fn each(mut f: impl FnMut(usize) -> f32) -> Lanes {
 
 /// `|d(p)|` of the 16 pixels of a tile's row.
 #[inline(always)]
-pub(super) fn rays<S: Simd>(simd: S, prepared: &Prepared, y: usize, column: usize) -> f32x16<S> {
-    let c = |v: f32| f32x16::splat(simd, v);
-    let across = load(simd, &prepared.ray_x2, column * TILE, TILE);
-    (c(1.0) + (across + c(prepared.ray_y2[y]))).sqrt()
-}
-
-/// [`rays`] as an array.
-#[inline(always)]
 pub(super) fn ray_lengths(prepared: &Prepared, y: usize, column: usize) -> Lanes {
     let across = get(&prepared.ray_x2, column * TILE, TILE);
     let down = prepared.ray_y2[y];
     each(|l| (1.0 + (across[l] + down)).sqrt())
+}
+
+/// [`ray_lengths`] as a vector.
+#[inline(always)]
+pub(super) fn rays<S: Simd>(simd: S, prepared: &Prepared, y: usize, column: usize) -> f32x16<S> {
+    f32x16::load_array_ref(simd, &ray_lengths(prepared, y, column))
 }

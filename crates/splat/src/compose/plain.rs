@@ -40,7 +40,7 @@ use crate::project::{EntryGradient, LOG2_255, Splat, SplatGradient};
 /// The six exponentials of one Gaussian in one tile, as `factor · at`.
 struct Decay {
     z: f32,
-    /// Of the cubic in the deviation; `None` where deviations are not small.
+    /// The coefficients of the cubic in the deviation; `None` where deviations are not small.
     coefficients: Option<[f32; 4]>,
     /// The tile's factors, attenuation then backscatter; 1 where deviations are not small.
     factor: [f32; 6],

@@ -7,7 +7,7 @@ use fearless_simd::{Simd, SimdBase, SimdFloat, SimdMask, f32x16, i32x16};
 use use3d_numerics::lanes::exp2_unclamped_lanes;
 
 use super::batch::{EntryBatch, Items, Pass, walk};
-use super::decay::{Attenuate, ThroughWater, through};
+use super::decay::{Attenuate, ThroughWater, cut, through};
 use super::sums::finish;
 use super::{accumulate, load, select};
 use crate::compose::tile::{
@@ -35,7 +35,7 @@ pub(crate) fn backward<S: Simd, const WATER: bool, const EXTRAS: bool>(
     let colors = [Items::ZERO; 3];
     let mut pass =
         Backward::<_, WATER, EXTRAS> { water, tile, s_gradient, sink, stops, weights, pulls, slopes, colors };
-    walk::<_, true, _>(simd, input, &mut pass);
+    walk::<_, true, _>(simd, input, cut::<WATER>(water), &mut pass);
 }
 
 struct Backward<'a, 'b, S: Simd, const WATER: bool, const EXTRAS: bool> {
@@ -60,11 +60,6 @@ impl<S: Simd, const WATER: bool, const EXTRAS: bool> Pass<S> for Backward<'_, '_
     #[inline(always)]
     fn open(&self, simd: S, k: usize) -> u32 {
         self.stops.simd_gt(i32x16::splat(simd, k as i32)).to_bitmask() as u32
-    }
-
-    #[inline(always)]
-    fn cut(&self) -> f32 {
-        if WATER { self.water.near } else { f32::INFINITY }
     }
 
     #[inline(always)]

@@ -34,12 +34,6 @@ pub(super) trait Pass<S: Simd> {
     /// The cells in which some pixel may still receive entry `k`, as bits.
     fn open(&self, simd: S, k: usize) -> u32;
 
-    /// The depth at which batches are cut: none has Gaussians on both sides.
-    #[inline(always)]
-    fn cut(&self) -> f32 {
-        f32::INFINITY
-    }
-
     /// Handles a batch.
     fn batch(&mut self, simd: S, batch: &EntryBatch<'_, S>);
 }
@@ -262,9 +256,14 @@ fn cells_met<S: Simd>(simd: S, splat: &Splat, rows: f32x16<S>, columns: &Lanes) 
 }
 
 /// Runs the pass over the list, from the nearest Gaussian to the farthest or, if `BACK`, the other way
-/// round.
+/// round. No batch has Gaussians on both sides of the depth `cut`.
 #[inline(always)]
-pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &TileInput<'_>, pass: &mut P) {
+pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(
+    simd: S,
+    input: &TileInput<'_>,
+    cut: f32,
+    pass: &mut P,
+) {
     let last = match input.list.len() {
         0 => return,
         count => count - 1,
@@ -278,7 +277,7 @@ pub(super) fn walk<S: Simd, const BACK: bool, P: Pass<S>>(simd: S, input: &TileI
         while step <= last && !batch.is_full() {
             let k = if BACK { last - step } else { step };
             let entry = input.entry(k);
-            let far = entry.1.z > pass.cut();
+            let far = entry.1.z > cut;
             if *beyond.get_or_insert(far) != far {
                 break;
             }

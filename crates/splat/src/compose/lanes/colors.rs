@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, SimdBase, SimdFloat, f32x16};
 
 use super::batch::{EntryBatch, Items, Pass, walk};
-use super::decay::{Attenuate, ThroughWater, through};
+use super::decay::{Attenuate, ThroughWater, cut, through};
 use super::front::Front;
 use super::sums::sums;
 use super::{accumulate, load};
@@ -22,7 +22,7 @@ pub(crate) fn backward_colors<S: Simd, const WATER: bool>(
     let mut state = ForwardTile::new(input.filled_rows, input.filled_columns);
     let (front, colors) = (Front::new(input, &mut state), [Items::ZERO; 3]);
     let mut pass = ColorsBackward::<WATER> { water, front, tile, sink, colors };
-    walk::<_, false, _>(simd, input, &mut pass);
+    walk::<_, false, _>(simd, input, cut::<WATER>(water), &mut pass);
 }
 
 struct ColorsBackward<'a, 'b, const WATER: bool> {
@@ -40,11 +40,6 @@ impl<S: Simd, const WATER: bool> Pass<S> for ColorsBackward<'_, '_, WATER> {
     #[inline(always)]
     fn open(&self, _simd: S, _k: usize) -> u32 {
         self.front.alive
-    }
-
-    #[inline(always)]
-    fn cut(&self) -> f32 {
-        if WATER { self.water.near } else { f32::INFINITY }
     }
 
     #[inline(always)]

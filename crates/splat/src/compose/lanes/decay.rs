@@ -34,7 +34,13 @@ pub(super) trait ThroughWater<S: Simd> {
     fn light<A: Attenuate<S>>(&mut self, simd: S, batch: &EntryBatch<'_, S>, decay: &A);
 }
 
-/// Chooses the case for a batch, whose entries all lie on one side of the depth `water.near`.
+/// The depth at which batches are cut, so that [`through`] finds one case for each.
+#[inline(always)]
+pub(super) fn cut<const WATER: bool>(water: &TileWater) -> f32 {
+    if WATER { water.near } else { f32::INFINITY }
+}
+
+/// Chooses the case for a batch, whose entries all lie on one side of the depth [`cut`].
 #[inline(always)]
 pub(super) fn through<S: Simd, const WATER: bool>(
     simd: S,
@@ -76,7 +82,7 @@ struct Dry;
 
 /// The deviations times depth are small.
 struct Near {
-    /// Of the cubic in the deviation, without the first, which is 1.
+    /// The coefficients of the cubic in the deviation, without the first, which is 1.
     coefficients: [Lanes; 3],
     /// The decay at the tile's centre; times the colour.
     factor: [Lanes; 6],

@@ -3,7 +3,7 @@
 use fearless_simd::{Simd, SimdBase, f32x16};
 
 use super::batch::{EntryBatch, Pass, walk};
-use super::decay::{Attenuate, ThroughWater, through};
+use super::decay::{Attenuate, ThroughWater, cut, through};
 use super::front::Front;
 use super::{accumulate, load, select};
 use crate::compose::tile::{ForwardTile, TileInput, TileWater};
@@ -17,7 +17,7 @@ pub(crate) fn forward<S: Simd, const WATER: bool, const LAYERS: bool>(
     tile: &mut ForwardTile,
 ) {
     let mut pass = Forward::<WATER, LAYERS> { water, front: Front::new(input, tile) };
-    walk::<_, false, _>(simd, input, &mut pass);
+    walk::<_, false, _>(simd, input, cut::<WATER>(water), &mut pass);
 }
 
 struct Forward<'a, const WATER: bool, const LAYERS: bool> {
@@ -31,11 +31,6 @@ impl<S: Simd, const WATER: bool, const LAYERS: bool> Pass<S> for Forward<'_, WAT
     #[inline(always)]
     fn open(&self, _simd: S, _k: usize) -> u32 {
         self.front.alive
-    }
-
-    #[inline(always)]
-    fn cut(&self) -> f32 {
-        if WATER { self.water.near } else { f32::INFINITY }
     }
 
     #[inline(always)]

@@ -19,7 +19,7 @@ pub(crate) fn splat<S: Simd, const C: usize>(
     out: &mut [[Lanes; CHANNELS]; CELLS],
 ) {
     let mut pass = Splatting::<_, C> { values, front: Front::new(input, forward), out };
-    walk::<_, false, _>(simd, input, &mut pass);
+    walk::<_, false, _>(simd, input, f32::INFINITY, &mut pass);
 }
 
 struct Splatting<'a, F, const C: usize> {
@@ -62,7 +62,7 @@ pub(crate) fn splat_adjoint<S: Simd, const C: usize>(
     sink: &mut EntrySink<'_>,
 ) {
     let mut pass = Adjoint::<C> { maps, front: Front::new(input, forward), sink };
-    walk::<_, false, _>(simd, input, &mut pass);
+    walk::<_, false, _>(simd, input, f32::INFINITY, &mut pass);
 }
 
 struct Adjoint<'a, 'b, const C: usize> {
