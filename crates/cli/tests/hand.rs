@@ -212,14 +212,12 @@ fn a_table_of_stage_1_needs_no_stage_2_and_presets_reach_every_verb() {
     for words in ["| full", "| plain", "steps: 20, without stage 2", "preset vanilla"] {
         assert!(table.contains(words), "{words}: {table}");
     }
-    // The cost of a training step on the scene, and a capture that is not the scene's.
+    // The cost of a training step on the scene.
     let cost =
         expect(&place, 0, &["bench", "scene", "out/tiny@full", "tiny", "--views", "2", "--rounds", "1"]);
     for words in ["contributing pairs", "2 views", "compose backward", "of the limit"] {
         assert!(cost.contains(words), "{words}: {cost}");
     }
-    let other = ["bench", "scene", "out/tiny@full", "tiny", "--max-side", "32"];
-    assert!(expect(&place, 2, &other).contains("out/tiny@full"));
     let page = std::fs::read_to_string(place.at("out/tiny@plain/report.html")).unwrap();
     assert!(page.contains("Stage 2 was left out"), "the page of a result");
     let made =
